@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator
 
+from simbias.core import Quantity
 from simbias.core.records import Array
 from simbias.pictures.elements.layout import legend, panels
 from simbias.pictures.elements.style import (
@@ -15,7 +18,6 @@ from simbias.pictures.elements.style import (
     NOMINAL,
     SIMULATION,
     SMALL,
-    label,
     literal,
     logarithmic,
     plain,
@@ -27,6 +29,7 @@ from simbias.simulation.open_loop import PredictionModel, Windows, predict
 COLUMNS = 4  # of parameters, and of states
 SECONDS = 1.0  # of each prediction that is drawn
 DRAWN = 5  # s of a part, at most
+MEASURED: Any = {"color": HARDWARE, "linewidth": 4.0, "alpha": 0.35}  # seen below a prediction that is right
 PRIOR = "0.75"  # grey
 WIDER = 1.0  # times the prior's interval on either side of it, up to which parameters are drawn
 WIDE = 20.0  # largest over smallest error, below which decades are too few ticks
@@ -92,7 +95,7 @@ def errors(assessment: Assessment) -> Figure:
         for values, color, marker in ((both[:, 0, i], NOMINAL, "s"), (both[:, 1, i], SIMULATION, "o")):
             shown = np.where(np.isfinite(values) & (values > 0), values, np.nan)
             axes.plot(seconds, shown, color=color, marker=marker, markersize=4)
-        axes.set_title(label(state), fontsize=SMALL)
+        axes.set_title(_label(state), fontsize=SMALL)
         axes.set_xlabel("horizon (s)")
         logarithmic(axes.xaxis)
         if np.nanmin(both[:, :, i]) > 0:
@@ -120,16 +123,17 @@ def forecasts(assessment: Assessment, index: int) -> Figure:
     t = task.time_step * np.arange(frames + 1)
     for i, (axes, state) in enumerate(zip(grid, task.states, strict=True)):
         measured = rollout.states[:, i]
-        axes.plot(t, measured, color=HARDWARE, linewidth=1.0)
+        axes.plot(t, measured, **MEASURED)
         for values, color in zip(made, (NOMINAL, SIMULATION), strict=True):
             for start, own in zip(range(0, frames, window), values[:, :, i], strict=True):
                 shown = np.concatenate([[measured[start]], _clear(own, measured)])
-                axes.plot(t[start : start + window + 1], shown, color=color, linewidth=1.2)
-        axes.set_ylabel(label(state), fontsize=SMALL)
+                axes.plot(t[start : start + window + 1], shown, color=color, linewidth=1.0)
+        axes.set_ylabel(_label(state), fontsize=SMALL)
         plain(axes)
     grid[-1].set_xlabel("time (s)")
-    entries = {"measured": HARDWARE, "nominal model": NOMINAL, "identified model": SIMULATION}
-    legend(figure, {name: Line2D([], [], color=color) for name, color in entries.items()})
+    entries = {"nominal model": NOMINAL, "identified model": SIMULATION}
+    lines = {name: Line2D([], [], color=color, linewidth=1.0) for name, color in entries.items()}
+    legend(figure, {"measured": Line2D([], [], **MEASURED), **lines})
     return figure
 
 
@@ -138,6 +142,11 @@ def _clear(predicted: Array, measured: Array) -> Array:
     low, high = measured.min(), measured.max()
     room = CLEAR * (high - low) + 1e-9
     return np.where((predicted > low - room) & (predicted < high + room), predicted, np.nan)
+
+
+def _label(state: Quantity) -> str:
+    """Name and unit of a state, as in tables."""
+    return f"{literal(state.name)} ({state.unit})"
 
 
 def _line(color: str) -> Line2D:

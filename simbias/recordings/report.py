@@ -46,7 +46,10 @@ def _parts(assessment: Assessment, excitation: Excitation | str, notes: Sequence
     yield heading("What to record next")
     yield items(words.advice(assessment, excitation))
     yield heading("Predictions and measurements")
-    yield paragraph("Each second, a prediction begins at the measured state, under the measured inputs.")
+    yield paragraph(
+        "Each second, a prediction begins at the measured state, under the measured inputs. "
+        f"Of the longest piece between gaps, at most the first {plots.DRAWN:g} s are shown."
+    )
     for i, part in enumerate(assessment.judged[:MOST]):
         yield paragraph(part.name)
         yield picture(plots.forecasts(assessment, i), f"{part.name}: measured and predicted states")

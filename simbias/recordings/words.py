@@ -21,6 +21,7 @@ PARAMETER_NAMES = (
 )
 ERROR_NAMES = ("horizon (s)", "predictions", "over nominal", "90% region holds")
 ERRORS = "Of states, a of b: root mean square errors of the identified model (a) and of the nominal one (b)."
+MEAN = "in the geometric mean over states and horizons"
 WORTH = 0.1  # share by which an experiment has to narrow a parameter to be named
 REMEDY = "weigh or measure a part, or record with another load, and declare what is then known"
 
@@ -36,11 +37,11 @@ def verdict(assessment: Assessment) -> str:
         ahead = f" It errs more after {', '.join(worse)} s." if worse else ""
         return (
             f"On {what}, the identified model errs {assessment.ratio:.2f} times as much as "
-            f"the nominal one{each}.{ahead}{none}"
+            f"the nominal one{each}, {MEAN}.{ahead}{none}"
         )
     return (
         f"The identified model is no better than the nominal one on {what}: it errs "
-        f"{assessment.ratio:.2f} times as much{each}. Do not use it."
+        f"{assessment.ratio:.2f} times as much{each}, {MEAN}. Do not use it."
     )
 
 

@@ -116,8 +116,8 @@ def test_inputs_are_designed_within_limits_that_there_are() -> None:
 
 @pytest.mark.slow
 def test_what_is_designed_tells_more_than_a_labs_chirps(study: Study, lab: Rollout) -> None:
-    """Within the limits that the lab kept, on the same models: posteriors of six robots are smaller and nearer
-    to the truth.
+    """Within the limits that the lab kept, on the same models: posteriors of six robots are smaller, and
+    nearer to the truth.
     """
     designer = Designer(study, study.nominal, NOISE)
     found = designer.design(2.0, 200, np.random.default_rng(0))

@@ -31,7 +31,7 @@ from simbias.recordings.parts import parts
 from simbias.recordings.reach import beyond
 from simbias.recordings.reading import read
 from simbias.recordings.report import report
-from simbias.recordings.words import advice, verdict
+from simbias.recordings.words import advice, error_names, verdict
 from simbias.robots.mujoco.model import Mujoco
 from simbias.robots.mujoco.parameters import values_of
 from simbias.robots.none import NoNominal
@@ -363,6 +363,18 @@ def test_the_page_is_one_file_and_runs_nothing(assessment: Assessment) -> None:
     assert "&lt;script&gt;two" in text
     assert not re.search(r"(?:src|href)=\"(?!data:)", text)
     assert text.count("<img ") == 4
+    assert text.count("the geometric mean over states and horizons") == 1
+    assert "at most the first 5 s are shown" in text
+    assert "@media print" in text
+
+
+def test_what_is_measured_is_seen_below_a_prediction_that_is_right(assessment: Assessment) -> None:
+    """And states are called as in the tables."""
+    figure = plots.forecasts(assessment, 0)
+    for axes in figure.axes:
+        measured, *predicted = axes.lines
+        assert measured.get_linewidth() > 2 * max(line.get_linewidth() for line in predicted)
+    assert [axes.get_ylabel() for axes in figure.axes] == error_names(assessment)[-4:]
 
 
 def test_errors_of_many_states_are_drawn_in_rows() -> None:
