@@ -267,6 +267,15 @@ def test_error_shrinks_with_inducing_points(study: Study) -> None:
     assert errors[2] < 0.01
 
 
+def test_error_of_the_mean_counts_the_linear_function(study: Study) -> None:
+    """It and the process share the mean in other ways where there are fewer points."""
+    data = along_trajectories(150)
+    fitted = GaussianProcess(study.task, inducing=Inducing(40, 1e-4, 1e-3), linear=3.0).fit(data)
+    exact_mean, _ = GaussianProcess(study.task, linear=3.0).fit(data).predict(data.inputs)
+    error = np.abs(fitted.predict(data.inputs)[0] - exact_mean).max()
+    assert fitted.diagnostics["mean_error"] * np.sqrt(np.mean(data.residuals**2)) == pytest.approx(error)
+
+
 def test_variance_needs_fewer_points(study: Study) -> None:
     """Near the data it changes by less than the tolerance, and so does the weight of Eq. 7 by little."""
     data = along_trajectories(600)

@@ -285,7 +285,8 @@ def _lower_root(C: Array) -> Array:
 def _errors(approximate: Posterior, reference: Posterior, transitions: Transitions) -> dict[str, float]:
     """Greatest differences of two posteriors at up to 200 of the training inputs."""
     inputs = transitions.inputs[:: max(1, len(transitions) // 200)]
-    (mean, variance), (exact_mean, exact_variance) = (p.relative(inputs) for p in (approximate, reference))
+    mean, exact_mean = (p.predict(inputs)[0] for p in (approximate, reference))
+    variance, exact_variance = (p.relative(inputs)[1] for p in (approximate, reference))
     scale = np.sqrt(np.mean(transitions.residuals**2)) or 1.0
     weights = approximate.weight(variance) - reference.weight(exact_variance)
     return {
