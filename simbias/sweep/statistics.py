@@ -6,7 +6,7 @@ error; each cell has a score. Intervals are at 95%.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -71,31 +71,18 @@ def performance_profile(scores: Array, thresholds: Array) -> Array:
     return np.mean(scores[~np.isnan(scores)][:, None] > thresholds, axis=0)
 
 
-def stratified_bootstrap(statistic: Callable[..., float], *scores: Array, resamples: int = 2000) -> Interval:
-    """Percentile interval of a statistic of score matrices (r, c); runs are resampled within each cell.
+def bootstrap(statistic: Callable[..., float], *scores: Array, resamples: int = 2000) -> Interval:
+    """Percentile interval of a statistic of score matrices (r, c) over cells; nan for fewer than two.
 
-    Of one run a cell that would be no interval at all; then cells are resampled, of all matrices the same.
+    Cells are resampled with all of their runs, of all matrices the same. So it tells of other cells, and has
+    a width where the runs of each cell are all alike.
     """
-    rng = np.random.default_rng(0)
-    drawn = _runs if any(len(each) > 1 for each in scores) else _cells
-    values = [statistic(*drawn(scores, rng)) for _ in range(resamples)]
+    rng, count = np.random.default_rng(0), scores[0].shape[1]
+    if count < 2:
+        return Interval(np.nan, np.nan)
+    drawn = (rng.integers(count, size=count) for _ in range(resamples))
+    values = [statistic(*(each[:, cells] for each in scores)) for cells in drawn]
     return Interval(*map(float, np.percentile(values, TAILS)))
-
-
-def _runs(scores: Sequence[Array], rng: np.random.Generator) -> Iterator[Array]:
-    """Scores (r, c), each cell's drawn with replacement from its own."""
-    for each in scores:
-        raised = np.sort(np.isnan(each), axis=0)
-        first = np.take_along_axis(each, np.argsort(np.isnan(each), axis=0, kind="stable"), axis=0)
-        drawn = rng.integers(np.sum(~raised, axis=0), size=each.shape)
-        yield np.where(raised, np.nan, np.take_along_axis(first, drawn, axis=0))
-
-
-def _cells(scores: Sequence[Array], rng: np.random.Generator) -> Iterator[Array]:
-    """Scores (r, c) of cells drawn with replacement."""
-    count = scores[0].shape[1]
-    cells = rng.integers(count, size=count)
-    return (each[:, cells] for each in scores)
 
 
 def sign_test(differences: Sequence[float]) -> float:

@@ -78,6 +78,10 @@ def test_comparisons_numbers_are_those_of_the_trials() -> None:
     picture_of_two = Comparison("method").draw(made_up({"ideal": [half, all_of_16, all_of_16]}), ())
     (curve,) = picture_of_two.figure.axes[-1].lines
     assert np.asarray(curve.get_ydata()).tolist() == pytest.approx([0, 1 / 3, 2 / 3, 2 / 3])  # of all trials
+    alike = Comparison("method").draw(made_up({"LQI": [half] * 3, "LQR": [half] * 3}), ())
+    for axes in alike.figure.axes[-2:]:
+        one, other = (line.get_transform().transform(line.get_xydata()) for line in axes.lines)
+        assert ((one - other) * 72 / alike.figure.dpi)[:, 1] == pytest.approx(1.6)  # pt, about a line's width
     none = Comparison("method").draw(made_up({"LQI": [fallen] * 3}), ())
     assert none.caption.endswith(" No trial ends with a policy that holds.")
     tie = Comparison("method").draw(made_up({"LQI": [all_of_16, "", ""], "ideal": [all_of_16] * 3}), ())

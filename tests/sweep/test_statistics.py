@@ -13,6 +13,7 @@ from simbias.core import markdown
 from simbias.sweep import results
 from simbias.sweep.grid import Sweep, expand
 from simbias.sweep.statistics import (
+    bootstrap,
     holds,
     holm,
     interquartile_mean,
@@ -20,7 +21,6 @@ from simbias.sweep.statistics import (
     performance_profile,
     probability_of_improvement,
     sign_test,
-    stratified_bootstrap,
 )
 from simbias.sweep.tables import cells, interval, layout, legend
 from simbias.terminal.sweep import seconds_left
@@ -49,12 +49,12 @@ def test_scores_of_cells() -> None:
 
 
 def test_runs_that_raised_are_in_no_statistic() -> None:
-    """Neither in those of all scores nor in resamples: what is the same in all runs has no spread."""
+    """Neither in those of all scores nor in resamples."""
     raised = np.array([[np.nan, 1.0], [0.5, 1.0], [0.5, np.nan]])
     assert interquartile_mean(raised) == 0.75
     assert performance_profile(raised, np.array([0.0, 0.6])).tolist() == [1.0, 0.5]
     assert probability_of_improvement(raised, np.array([[0.5, 0.0]] * 3)) == 0.75
-    assert stratified_bootstrap(interquartile_mean, raised) == (0.75, 0.75)
+    assert bootstrap(interquartile_mean, raised) == (0.5, 1.0)
 
 
 def test_probability_of_improvement_is_mann_whitneys() -> None:
@@ -66,21 +66,16 @@ def test_probability_of_improvement_is_mann_whitneys() -> None:
 
 
 @pytest.mark.slow
-def test_bootstrap_covers_and_is_stratified() -> None:
-    """Cells whose runs are all alike add nothing to the width; of one run a cell, cells are resampled.
-
-    The same of both methods: what differs by as much in each cell has no spread.
-    """
-    apart = np.tile([0.0, 1.0], (6, 1))
-    assert stratified_bootstrap(np.mean, apart) == (0.5, 0.5)
+def test_bootstrap_covers_the_mean_of_other_cells() -> None:
+    """Also where a cell's runs are all alike; what differs by as much in each cell has no spread."""
     rng = np.random.default_rng(1)
-    found = [stratified_bootstrap(np.mean, rng.normal([0.0, 2.0], 1.0, (15, 2))) for _ in range(30)]
-    assert 0.85 <= np.mean([low <= 1.0 <= high for low, high in found]) <= 0.99
-    one = np.array([[0.0, 1.0, 0.0, 1.0]])
-    low, high = stratified_bootstrap(np.mean, one)
+    found = [bootstrap(np.mean, np.tile(rng.normal(1.0, 1.0, 20), (3, 1))) for _ in range(30)]
+    assert 0.8 <= np.mean([low <= 1.0 <= high for low, high in found]) <= 0.99
+    cells = np.array([[0.0, 1.0, 0.0, 1.0]] * 3)
+    low, high = bootstrap(np.mean, cells)
     assert low < 0.25 < 0.75 < high
-    lead = stratified_bootstrap(lambda a, b: float(np.mean(a - b)), one + 0.25, one)
-    assert lead == (0.25, 0.25)
+    assert bootstrap(lambda a, b: float(np.mean(a - b)), cells + 0.25, cells) == (0.25, 0.25)
+    assert np.isnan(bootstrap(np.mean, cells[:, :1])).all()
 
 
 def test_sign_test_is_mcnemars() -> None:

@@ -10,7 +10,9 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import PercentFormatter
+from matplotlib.transforms import ScaledTranslation
 
 from simbias.core.proportions import counted_share, wilson
 from simbias.core.records import Array
@@ -19,6 +21,7 @@ from simbias.sweep.batches import Outcomes
 from simbias.sweep.figure import UNTESTED, FigureError, Picture, SweepFigure, SweptTrials
 from simbias.sweep.grid import Sweep
 from simbias.sweep.statistics import (
+    bootstrap,
     holds,
     holm,
     interquartile_mean,
@@ -26,12 +29,12 @@ from simbias.sweep.statistics import (
     performance_profile,
     probability_of_improvement,
     sign_test,
-    stratified_bootstrap,
 )
 
 WIDTH, ROW, CURVES, REST = 11.0, 0.24, 3.2, 2.6  # in: of the figure, of a method, of the curves, of all else
 LETTERS = 40  # of a line of a method's name
 MOST = 8  # curves in a panel
+BELOW = 1.6 / 72  # in, by which a curve lies below one that is the same
 SLANTED: dict[str, Any] = {"rotation": 40, "ha": "right", "va": "top", "rotation_mode": "anchor"}
 THRESHOLDS = np.linspace(0, 1, 101)
 
@@ -41,9 +44,9 @@ class Comparison(SweepFigure):
 
     A trial's score is the share of its test episodes that its last policy passes: they succeed, and last to
     their end. It counts as a success where that policy holds (`simbias.sweep.statistics.holds`). Trials that
-    raised an error are left out. Above: mean score in each cell, and the interquartile mean over cells with
-    its bootstrap interval. Below: performance profiles, and the share of trials that are a success within so
-    many experiments.
+    raised an error are left out. Above: mean score in each cell, and the interquartile mean with its bootstrap
+    interval over cells; of a single cell there is none. Below: performance profiles, and the share of trials
+    that are a success within so many experiments.
 
     Parameters
     ----------
@@ -121,7 +124,7 @@ class _Method:
         """The method in numbers."""
         held, count = int(self.trials["holds"].sum()), len(self.trials)
         scores = self.scores[:, self.tried]
-        low, high = stratified_bootstrap(interquartile_mean, scores)
+        low, high = bootstrap(interquartile_mean, scores)
         least, most = wilson(held, count)
         return {
             "method": name,
@@ -146,7 +149,7 @@ def _against(methods: dict[str, _Method], reference: _Method) -> pd.DataFrame:
             continue
         tried = method.tried & reference.tried
         both = method.scores[:, tried], reference.scores[:, tried]
-        low, high = stratified_bootstrap(probability_of_improvement, *both)
+        low, high = bootstrap(probability_of_improvement, *both)
         rows[name] = {"better": probability_of_improvement(*both), "better_low": low, "better_high": high}
         pairs = method.trials["holds"].astype(float) - reference.trials["holds"].astype(float)
         p[name] = sign_test(pairs.dropna().tolist())
@@ -162,10 +165,10 @@ def _caption(numbers: pd.DataFrame, sweep: Sweep) -> str:
     most = f"Most trials hold by {held}" if shares.any() else "No trial ends with a policy that holds"
     return (
         f"Above: share of test episodes in which the last policy {sweep.success}, long ones to their end, "
-        "mean of each cell; at the right the interquartile mean of cells, with its 95% bootstrap interval "
-        "(runs are resampled within cells; cells, where each has one run). Below: share of trials with more "
-        "than so much; share of trials that end within so many experiments with a policy that holds (lower "
-        f"Wilson limit above {sweep.report.bar:.0%}). {most}."
+        "mean of each cell; at the right the interquartile mean, with its 95% bootstrap interval over cells. "
+        "Below: share of trials with more than so much; share of trials that end within so many experiments "
+        f"with a policy that holds (lower Wilson limit above {sweep.report.bar:.0%}); curves that are the same "
+        f"lie one below the other. {most}."
     )
 
 
@@ -223,11 +226,11 @@ def _draw_curves(figure: SubFigure, methods: dict[str, _Method]) -> None:
         color, marker = series_style(index)
         style = {"color": color, "marker": marker, "markersize": 4, "linewidth": 1.4}
         profile = performance_profile(method.scores, THRESHOLDS)
-        (handles[name],) = left.plot(THRESHOLDS, profile, markevery=(2 * index, 20), **style)
+        handles[name] = _draw_curve(left, THRESHOLDS, profile, markevery=(2 * index, 20), **style)
         held = method.trials.loc[method.trials["holds"], "experiments"]
         experiments, counts = np.unique(held.to_numpy(dtype=float), return_counts=True)
         share = np.cumsum([0, *counts, 0]) / len(method.trials)
-        right.step([0.0, *experiments, most], share, where="post", **style)
+        _draw_curve(right, np.array([0.0, *experiments, most]), share, drawstyle="steps-post", **style)
     left.set_xlabel("test episodes passed")
     left.set_ylabel("trials with more")
     left.xaxis.set_major_formatter(PercentFormatter(1.0))
@@ -244,3 +247,11 @@ def _draw_curves(figure: SubFigure, methods: dict[str, _Method]) -> None:
         fontsize=8,
         frameon=False,
     )
+
+
+def _draw_curve(axes: Axes, x: Array, y: Array, **style: Any) -> Line2D:
+    """A curve, just below those that are the same."""
+    same = sum(np.array_equal(line.get_xydata(), np.column_stack([x, y])) for line in axes.lines)
+    (line,) = axes.plot(x, y, **style)
+    line.set_transform(axes.transData + ScaledTranslation(0, -same * BELOW, axes.figure.dpi_scale_trans))
+    return line
