@@ -74,11 +74,11 @@ class Controller:
         self._theta = theta
         self._time_step = time_step
         self._frame = 0
-        self._state = np.zeros(policy.state_size)
+        self.policy_state = np.zeros(policy.state_size)
 
     def __call__(self, x: Array) -> Array:
         """Input u (m,) at the (measured) state x (n,), numbers of any kind, of the next frame."""
         time, own = self._frame * self._time_step, np.array(x, dtype=np.float64)  # it may write into its own
-        u, self._state = self._policy.act(self._theta, own, time, self._state)
+        u, self.policy_state = self._policy.act(self._theta, own, time, self.policy_state)
         self._frame += 1
         return u

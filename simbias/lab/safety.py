@@ -11,7 +11,7 @@ import numpy as np
 from simbias.core import Controller, HardwareError, Law, Policy, Quantity, Task
 from simbias.core.ranges import Positive
 from simbias.core.records import Array, Rollout
-from simbias.core.robot import by_quantity
+from simbias.core.robot import NOT_A_NUMBER, by_quantity
 
 ROUNDING = 1e-12  # relative, of a limit that a controller holds itself
 RECORDED_ROUNDING = 1e-6  # relative, of a limit in what was recorded with a few digits
@@ -226,7 +226,7 @@ class _SafetyLimitedController(Controller):
         Raises
         ------
         UnsafeError
-            If state or input is beyond its limits, or one was before.
+            If state or input is beyond its limits, the policy's own state is not finite, or one was before.
         """
         if not self.failure:
             x = np.array(x, dtype=np.float64)
@@ -235,6 +235,8 @@ class _SafetyLimitedController(Controller):
         if not self.failure:
             u = self._controller(x)
             self.failure = self._monitor.of_input(u)
+            if not (self.failure or np.isfinite(self._controller.policy_state).all()):
+                self.failure = NOT_A_NUMBER
             if not self.failure:
                 self._inputs.append(np.array(u, dtype=np.float64))
                 return u

@@ -261,20 +261,31 @@ class Root(Integral):
         return np.sqrt(x[..., :1]), policy_state
 
 
+class Overflowing(Integral):
+    """A law whose state overflows where its input does not, as that of a filter which diverges."""
+
+    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
+        return 0.0 * x[..., :1], np.exp(900.0 * x[..., :1])
+
+
 def test_limits_have_the_names_that_simbias_has_them_by() -> None:
-    """Also those of an input that is no number, and those with letters of any alphabet."""
+    """Also those of an input or a policy's state that is no number, and with letters of any alphabet."""
     task = PointMass()
     task.states = (Quantity("θ", "rad"), Quantity("φ", "rad"))
     bounds = Bounds(task.input_bounds, np.full(1, np.inf), np.full(2, 1.0), False)
-    request = ExperimentRequest(task, Root(task), np.zeros(1), task.start_mean)
-    law = formulas_of(request.policy, task, request.theta)
-    assert not isinstance(law, str)
-    names: dict[str, Any] = {}
-    exec(python_module(task, law, "", bounds), names)
-    for x in ([-0.5, 0.0], [2.0, 0.0], [0.0, 2.0]):
-        limited = SafetyLimitedPolicy(request.policy, task, bounds).controller(request.theta, 0.02)
+    for policy, x in (
+        (Root(task), [-0.5, 0.0]),
+        (Root(task), [2.0, 0.0]),
+        (Root(task), [0.0, 2.0]),
+        (Overflowing(task), [0.9, 0.0]),
+    ):
+        law = formulas_of(policy, task, np.zeros(1))
+        assert not isinstance(law, str)
+        names: dict[str, Any] = {}
+        exec(python_module(task, law, "", bounds), names)
+        limited = SafetyLimitedPolicy(policy, task, bounds).controller(np.zeros(1), 0.02)
         made = names["Controller"]()
-        with pytest.raises(UnsafeError) as error, np.errstate(invalid="ignore"):
+        with pytest.raises(UnsafeError) as error, np.errstate(all="ignore"):
             limited(np.array(x))
         with pytest.raises(ValueError, match=f"abort: {error.value}: "):
             made(x)
