@@ -28,7 +28,7 @@ from simbias.simulation.closed_loop import simulator
 ERROR_WEIGHT, RATE_WEIGHT = 1.0, 0.05  # of the goal's squared errors, 1/s; of those that are rates
 FINAL_WEIGHT = 10.0  # in s: what they weigh at the end
 INPUT_WEIGHT = 0.1  # of squared inputs at their limits, 1/s
-SHARE = 0.8  # of the limits that a trajectory takes: what is left is for feedback
+SHARE = 0.8  # of the limits, to which a step is held; feedback about the plan before it may take the rest
 GAIN_WEIGHTS = (1.0, 10.0, 100.0)  # R of inputs at their limits; Q of a state of one unit is 1
 SHORTER = 0.5 ** np.arange(12)  # shares of a step that are tried, all at once
 ITERATIONS = 200

@@ -23,6 +23,10 @@ from simbias.trial.study import Study
 class Lqr(Method):
     """Try the policy that imitates the LQR of the nominal model; if asked for, of the identified one then.
 
+    The model is linearised by differences over 0.1 of each state's unit and of each input's limit, so that
+    friction, which is steep near rest, is not mistaken for damping. So gains differ from those of exact
+    derivatives: by up to 7% on the bongoboard, by 1% at most on the cart-poles.
+
     Parameters
     ----------
     input_weight
