@@ -75,7 +75,7 @@ def _figure(panels: dict[str, pd.DataFrame], limits: dict[str, float]) -> Figure
     for axes in grid.flat[len(panels) :]:
         axes.axis("off")
     for axes in grid.flat[max(0, len(panels) - columns) : len(panels)]:
-        axes.set_xlabel("iteration")
+        axes.set_xlabel("iteration (trials side by side)")
         axes.tick_params(labelbottom=True)
     for axes in grid[:, 0]:
         axes.set_ylabel("cost Z on hardware (dimensionless)")

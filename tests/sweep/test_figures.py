@@ -125,6 +125,9 @@ def test_last_policies_are_dots_that_no_other_hides() -> None:
         LastPolicies().draw(made_up({"slope 0.02 rad": ["", ""]}), ())
     figure = LastPolicies().draw(made_up({"slope 0.02 rad": ["1111"] * 10}), ()).figure
     FigureCanvasAgg(figure).draw()
+    assert_nothing_is_cut(figure)
+    texts = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert texts == ["trial that succeeds", "trial that never does", "mean", "90% of episodes"]
     left, right = figure.axes
     assert len(left.get_yticklabels()) == 24
     assert left.get_xlim()[1] > 13  # the most experiments of a trial, 5 above the mean
@@ -227,6 +230,7 @@ def test_eight_series_are_told_from_each_other() -> None:
         top = figure.axes[0].get_ylim()[1]
         assert all(each.get_y() + each.get_height() >= 0.99 * top for each in shaded)
         assert figure.get_figwidth() < 15.0
+        assert figure.axes[cells - 1].get_xlabel() == "iteration (trials side by side)"
 
 
 def test_labels_longer_than_the_figure_are_wrapped() -> None:

@@ -9,10 +9,12 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 from matplotlib.transforms import ScaledTranslation
 
 from simbias.core.records import Array
+from simbias.pictures.elements.layout import legend
 from simbias.pictures.elements.style import HARDWARE, LIMIT, SIMULATION, literal, plain
 from simbias.sweep.batches import Outcomes
 from simbias.sweep.figure import UNTESTED, FigureError, Picture, SweepFigure, SweptTrials
@@ -96,6 +98,14 @@ def _figure(numbers: pd.DataFrame, cells: Sequence[str], words: str) -> Figure:
     right.axvline(RELIABLE, color=LIMIT, linewidth=0.8, linestyle="--", zorder=0)
     left.set_yticks(range(len(cells)), labels)
     left.set_ylim(len(cells) - 0.4, -0.6)
+    dot = {"color": "0.2", "marker": "o", "markersize": 4, "linestyle": ""}
+    marks = {
+        "trial that succeeds": Line2D([], [], **dot),
+        "trial that never does": Line2D([], [], markerfacecolor="white", **dot),
+        "mean": Line2D([], [], color="0.2", marker="|", markersize=10, linestyle=""),
+        f"{RELIABLE:.0%} of episodes": Line2D([], [], color=LIMIT, linewidth=0.8, linestyle="--"),
+    }
+    legend(figure, marks)
     return figure
 
 
