@@ -44,9 +44,9 @@ class Comparison(SweepFigure):
 
     A trial's score is the share of its test episodes that its last policy passes: they succeed, and last to
     their end. It counts as a success where that policy holds (`simbias.sweep.statistics.holds`). Trials that
-    raised an error are left out. Above: mean score in each cell, and the interquartile mean with its bootstrap
-    interval over cells; of a single cell there is none. Below: performance profiles, and the share of trials
-    that are a success within so many experiments.
+    raised an error are left out. Above: mean score in each cell, and the interquartile mean with its
+    bootstrap interval over cells; of a single cell there is none. Below: performance profiles, and the share
+    of trials that are a success within so many experiments.
 
     Parameters
     ----------
@@ -167,8 +167,8 @@ def _caption(numbers: pd.DataFrame, sweep: Sweep) -> str:
         f"Above: share of test episodes in which the last policy {sweep.success}, long ones to their end, "
         "mean of each cell; at the right the interquartile mean, with its 95% bootstrap interval over cells. "
         "Below: share of trials with more than so much; share of trials that end within so many experiments "
-        f"with a policy that holds (lower Wilson limit above {sweep.report.bar:.0%}); curves that are the same "
-        f"lie one below the other. {most}."
+        f"with a policy that holds (lower Wilson limit above {sweep.report.bar:.0%}); curves that are the "
+        f"same lie one below the other. {most}."
     )
 
 

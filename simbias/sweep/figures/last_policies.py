@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from textwrap import fill
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -98,7 +99,7 @@ def _figure(numbers: pd.DataFrame, cells: Sequence[str], words: str) -> Figure:
     right.axvline(RELIABLE, color=LIMIT, linewidth=0.8, linestyle="--", zorder=0)
     left.set_yticks(range(len(cells)), labels)
     left.set_ylim(len(cells) - 0.4, -0.6)
-    dot = {"color": "0.2", "marker": "o", "markersize": 4, "linestyle": ""}
+    dot: dict[str, Any] = {"color": "0.2", "marker": "o", "markersize": 4, "linestyle": ""}
     marks = {
         "trial that succeeds": Line2D([], [], **dot),
         "trial that never does": Line2D([], [], markerfacecolor="white", **dot),
