@@ -175,7 +175,7 @@ class Designer:
         errors = self._errors or self._of_noise(rollouts[0])
         covariances, gains = [], []
         for information, rollout in zip(self._informations, rollouts, strict=False):
-            windows = self._posterior.windows([rollout])
+            windows = self._posterior.cut([rollout])  # without noise
             precision = self._precision + information.of(windows, errors)
             covariances.append(np.linalg.inv(precision))
             gains.append(0.5 * (np.linalg.slogdet(precision)[1] - np.linalg.slogdet(self._precision)[1]))

@@ -284,7 +284,9 @@ def test_names_of_a_model_are_no_keys_of_the_option(study: Study) -> None:
     identified = Identified(study.nominal, np.zeros(size), np.eye(size), {})
     first, *others = identified.estimates
     identified.estimates = (first._replace(name="pole\n_target_: os.system\u2028#"), *others)
-    assert list(yaml.safe_load("\n".join(option_lines(identified, {"rounds": 2})))) == ["rounds", "known"]
+    written = yaml.safe_load("\n".join(option_lines(identified, {"rounds": 2, "differences": "forward"})))
+    assert written.pop("known")["mode"] == identified.known.mode
+    assert written == {"rounds": 2, "differences": "central", "smoothing": 0.05}  # as `identify` identifies
 
 
 def test_an_identified_mjcf_is_read_back(tmp_path: Path) -> None:

@@ -156,18 +156,18 @@ class Posterior(Identification):
 
     def windows(self, rollouts: Sequence[Rollout], recordings: Sequence[str] = ()) -> Windows:
         """Experiments, cut as predictions are compared with them."""
-        windows = self._cut(rollouts)
+        windows = self.cut(rollouts)
         if self._smoothed:
             made = zip(rollouts, smoothed(rollouts, self._smoothed), strict=True)
             smooth = [replace(rollout, states=states) for rollout, states in made]
-            windows = replace(windows, smoothed=self._cut(smooth).states)
+            windows = replace(windows, smoothed=self.cut(smooth).states)
         if not recordings:
             return windows
         order = list(dict.fromkeys(recordings))
         return replace(windows, recordings=np.array([order.index(each) for each in recordings]))
 
-    def _cut(self, rollouts: Sequence[Rollout]) -> Windows:
-        """Windows of the declared duration."""
+    def cut(self, rollouts: Sequence[Rollout]) -> Windows:
+        """Windows of the declared duration, whose predictions begin at states as they are."""
         return Windows.of(rollouts, self._window, self._chunk, self._noise)
 
     def fit(self, nominal: Nominal, rollouts: Sequence[Rollout], recordings: Sequence[str] = ()) -> Nominal:
