@@ -102,7 +102,7 @@ import simbias
 from in_numpy import predict_in_numpy, simulate_in_numpy
 from simbias.search.optimizer import ilqr
 from simbias.__main__ import main
-from simbias.recordings import files
+from simbias.recordings import excitation, files
 from simbias.sweep.grid import expand
 from simbias.terminal import excite, identify
 
@@ -110,7 +110,8 @@ print("home", simbias.__file__)
 figure = expand(["+sweep=fig7"]).figures["fig7"]  # whose class lies beside the sweeps
 assert "/simbias/sweeps/figures/" in sys.modules[type(figure).__module__].__file__
 files.report = lambda *_: ""  # drawn in test_identify.py
-excite.TRAJECTORIES = identify.TRAJECTORIES = 1
+excite.TRAJECTORIES = identify.TRAJECTORIES = excitation.REFERENCES = 1
+excitation.MODELS = 2
 for arguments in ast.literal_eval(sys.argv[1]):
     with pytest.MonkeyPatch.context() as patch:
         words = " ".join(arguments)

@@ -125,7 +125,8 @@ def test_it_waits_for_each_result_and_resumes(short: Study, tmp_path: Path) -> N
     for number in range(EXPERIMENTS):
         record = run_trial(study, tmp_path)
         assert (record.outcome, record.summary.experiments) == (Outcome.WAITING, min(number, 6))
-        assert record.summary.reason == "trajectory.csv is not there yet."
+        tested = f"test episode {number - 5} of {EXPERIMENTS - 6}: " if number >= 6 else ""
+        assert record.summary.reason == f"{tested}trajectory.csv is not there yet."
     record = run_trial(study, tmp_path)
     assert_equal(timeless(record), timeless(run_trial(short)))
     assert log.count("made") == EXPERIMENTS

@@ -25,7 +25,7 @@ class Lqr(Method):
 
     The model is linearised by differences over 0.1 of each state's unit and of each input's limit, so that
     friction, which is steep near rest, is not mistaken for damping. So gains differ from those of exact
-    derivatives: by up to 7% on the bongoboard, by 1% at most on the cart-poles.
+    derivatives: by up to 7% for the paper's robot, by 1% at most for the cart-poles.
 
     Parameters
     ----------
