@@ -16,6 +16,7 @@ from simbias.policy.trajectory import Trajectory
 from simbias.search.lqr import linearised, lqr_gains
 from simbias.simulation.closed_loop import join, simulator
 from simbias.simulation.compiler import scheduled
+from simbias.simulation.compiler.tracing import parts_of
 from simbias.simulation.noise import Noise
 from simbias.simulation.numpy_loop import PlainSimulator
 from simbias.trial.study import Study
@@ -90,6 +91,19 @@ def test_the_law_says_what_x_is_and_what_wraps(cartpole: Study) -> None:
     ):
         policy = Trajectory(study.task, study.nominal, KNOTS, observer=observer)
         assert policy.law(theta).words.endswith(said)
+
+
+def test_a_filter_that_diverges_where_no_robot_is_keeps_nothing_from_being_compiled() -> None:
+    """States farther than any robot's amplify what is rounded, in NumPy as in what is written down."""
+    noise = "policy.noise={velocity_variance: 0.01, angle_variance: 1e-4}"
+    options = [
+        "preset=cartpole_trajectory",
+        "tracking=none",
+        "policy.observer=kalman",
+        "policy.sliding=true",
+        noise,
+    ]
+    assert [part.why_not for part in parts_of(simbias.load(options).first_model())] == [""] * 4
 
 
 def test_written_it_is_what_it_is_in_numpy(cartpole: Study) -> None:
