@@ -21,6 +21,7 @@ DRAWS, SEED = 24, 0  # of the model and of the start, for the spread of a predic
 COMMON = 0.03  # share of the common second moments in the measure of an error
 LARGEST_SPREAD = LARGEST_ERROR = 1e6  # in place of one that is not finite
 CHANGE = 0.1  # share of the predicted change by which predictions of other recordings may be wrong
+EXACT = 1e-4  # of a state's standard deviation: errors that no one asks to be explained
 FEWEST = 5  # errors that a region is estimated from, for each state
 SMALLEST, LARGEST = 1e-150, 1e150  # errors: their ratio is a number
 MOST_RATIO = 1e3  # of errors, or one over it: what blows up counts as this
@@ -36,6 +37,7 @@ class Prediction:
     spreads: tuple[Array, ...]  # (w, n, n) of each prediction among models and starts as they may be
     known: Known | None = None  # what regions are estimated from; None: of each part, the other parts
     changes: tuple[Array, ...] = ()  # (w, n) as predicted; none if parts are the known recordings
+    noises: tuple[Array, ...] = ()  # (n,) standard deviations of each part's measured states
 
     @property
     def windows(self) -> int:
@@ -65,6 +67,19 @@ class Prediction:
                 region = regions(self.spreads[i], known.errors, known.spreads)
                 held.append(inside(own, region + of_change(self.changes[i]) if self.changes else region))
         return float(np.mean(np.concatenate(held))) if held else np.nan
+
+    def unexplained(self) -> float:
+        """Errors over those that measurement noise and the model's uncertainty explain: 1 if they are all.
+
+        Their sizes in terms of these, at the quantile that 90% of normal ones do not exceed; nan if they are
+        too few.
+        """
+        each = zip(self.identified, self.spreads, self.noises, strict=True)
+        own = np.concatenate([sizes(wrong, spread + np.diag(noise**2)) for wrong, spread, noise in each])
+        n = self.identified[0].shape[1]
+        return (
+            float(np.sqrt(np.quantile(own, REGION) / _normal_limit(n))) if len(own) >= FEWEST * n else np.nan
+        )
 
     def _others(self, index: int) -> Known:
         """Errors on all parts but one."""
@@ -101,6 +116,7 @@ def predictions(
     these, from those on the other parts.
     """
     longest = min(max(rollout.frames for rollout in part) for part in parts)
+    noises = tuple(_noise_of_part(part) for part in parts)
 
     def ahead(k: int) -> Prediction:
         pairs = list(zip(identified, parts, strict=True))
@@ -112,6 +128,7 @@ def predictions(
             tuple(spread(model, part, k) for model, part in pairs),
             _known(learned, k) if learned else None,
             tuple(changes(*each, k) for each in zip(wrong, parts, strict=True)) if learned else (),
+            noises,
         )
 
     return [ahead(k) for k in sorted({task.frames(seconds) for seconds in HORIZONS}) if k <= longest]
@@ -124,6 +141,12 @@ def _known(learned: Sequence[tuple[Nominal, Sequence[Rollout]]], frames: int) ->
         for of in (errors, spread)
     )
     return Known(wrong, spreads)
+
+
+def _noise_of_part(rollouts: Sequence[Rollout]) -> Array:
+    """Standard deviations (n,) of its measured states, at least `EXACT` of their own."""
+    states = np.concatenate([rollout.states for rollout in rollouts])
+    return np.maximum(noise_of(rollouts), EXACT * np.std(states, axis=0))
 
 
 def errors(

@@ -22,6 +22,7 @@ PARAMETER_NAMES = (
 ERROR_NAMES = ("horizon (s)", "predictions", "over nominal", "90% region holds")
 ERRORS = "Of states, a of b: root mean square errors of the identified model (a) and of the nominal one (b)."
 MEAN = "in the geometric mean over states and horizons"
+UNEXPLAINED = 1.5  # times what noise and uncertainty explain, from which the model lacks something
 WORTH = 0.1  # share by which an experiment has to narrow a parameter to be named
 REMEDY = "weigh or measure a part, or record with another load, and declare what is then known"
 
@@ -37,11 +38,29 @@ def verdict(assessment: Assessment) -> str:
         ahead = f" It errs more after {', '.join(worse)} s." if worse else ""
         return (
             f"On {what}, the identified model errs {assessment.ratio:.2f} times as much as "
-            f"the nominal one{each}, {MEAN}.{ahead}{none}"
+            f"the nominal one{each}, {MEAN}.{ahead}{none}{_lacking(assessment)}"
         )
     return (
         f"The identified model is no better than the nominal one on {what}: it errs "
         f"{assessment.ratio:.2f} times as much{each}, {MEAN}. Do not use it."
+    )
+
+
+def _lacking(assessment: Assessment) -> str:
+    """A sentence if errors are larger than noise and the model's uncertainty explain; else ""."""
+    times, seconds = max(
+        (
+            (one.unexplained(), one.seconds)
+            for one in assessment.predictions
+            if one.unexplained() > UNEXPLAINED
+        ),
+        default=(0.0, 0.0),
+    )
+    if not times:
+        return ""
+    return (
+        f" Errors after {seconds:g} s are {times:.1f} times what measurement noise and intervals explain: "
+        "the model lacks something, and its values are those that predict best, which may not be the robot's."
     )
 
 

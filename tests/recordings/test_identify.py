@@ -86,6 +86,25 @@ def test_mass_and_centre_of_the_first_link_are_one_parameter(assessment: Assessm
         assert by_name["mass_1"] == pytest.approx(by_name["centre_1"], rel=1e-3)
 
 
+def test_errors_that_noise_and_uncertainty_do_not_explain_are_told(assessment: Assessment) -> None:
+    """Not where the model is the robot's; errors three times as large are three times what is explained."""
+    rng, noise = np.random.default_rng(0), np.array([0.1, 2.0])
+    spread = np.tile(np.diag([0.01, 9.0]), (400, 1, 1))
+    wrong = rng.standard_normal((400, 2)) * np.sqrt(np.array([0.01, 9.0]) + noise**2)
+    for times in (1.0, 3.0):
+        made = Prediction(0.5, (wrong,), (times * wrong,), (spread,), noises=(noise,))
+        assert made.unexplained() == pytest.approx(times, rel=0.1)
+    assert np.isnan(replace(made, identified=(wrong[:9],), spreads=(spread[:9],)).unexplained())
+    assert "explain" not in verdict(assessment)
+    larger = [
+        replace(one, identified=tuple(3 * each for each in one.identified)) for one in assessment.predictions
+    ]
+    told = verdict(replace(assessment, predictions=larger))
+    assert re.search(
+        r" Errors after \S+ s are [34]\.\d times what measurement noise and intervals explain: ", told
+    )
+
+
 def test_what_takes_up_a_parameter_that_changes_is_doubted_with_it(assessment: Assessment) -> None:
     """Where recordings disagree on friction, the joint's damping is doubted, too, and nothing else."""
     fitted, names = assessment.identified, [each.prior.name for each in assessment.findings]
@@ -357,7 +376,7 @@ def test_the_page_is_one_file_and_runs_nothing(assessment: Assessment) -> None:
     worse = replace(
         assessment, predictions=[replace(first, nominal=first.identified, identified=first.nominal), *rest]
     )
-    assert verdict(worse).endswith(f" It errs more after {first.seconds:g} s.")
+    assert f" It errs more after {first.seconds:g} s." in verdict(worse)
     text = report(assessment, "<b>title</b>", "none", ["one: vel2 is estimated from pos2"])
     assert "one: vel2 is estimated from pos2" in text
     assert "<script" not in text
