@@ -22,7 +22,7 @@ PARAMETER_NAMES = (
 ERROR_NAMES = ("horizon (s)", "predictions", "over nominal", "90% region holds")
 ERRORS = "Of states, a of b: root mean square errors of the identified model (a) and of the nominal one (b)."
 MEAN = "in the geometric mean over states and horizons"
-UNEXPLAINED = 1.5  # times what noise and uncertainty explain, from which the model lacks something
+UNEXPLAINED = 2.0  # times what noise and uncertainty explain, from which the model lacks something
 WORTH = 0.1  # share by which an experiment has to narrow a parameter to be named
 REMEDY = "weigh or measure a part, or record with another load, and declare what is then known"
 
