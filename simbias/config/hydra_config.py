@@ -37,12 +37,7 @@ def composed(overrides: Sequence[str], config_dir: str | None, grid: bool, files
     from simbias.config import option_files  # lazily: Hydra takes a tenth of a second
 
     option_files.register()
-
-    def noise(*, _root_: DictConfig) -> Any:
-        declared = OmegaConf.select(_root_, "hardware.noise")
-        return declared if OmegaConf.is_dict(declared) else {}  # a class of one's own may take a number
-
-    OmegaConf.register_new_resolver("noise_of_hardware", noise, replace=True)
+    OmegaConf.register_new_resolver("noise_of_hardware", _noise_of_hardware, replace=True)
     if config_dir is not None:
         overrides = [*overrides, f"hydra.searchpath=[{_quoted(f'{option_files.SCHEME}://{config_dir}')}]"]
     given = parsed(overrides)
@@ -59,6 +54,14 @@ def composed(overrides: Sequence[str], config_dir: str | None, grid: bool, files
         del config["hydra"]
     OmegaConf.set_struct(config, True)
     return Composed(config, choices)
+
+
+def _noise_of_hardware(*, _root_: DictConfig) -> Any:
+    """Variances that the hardware declares; a class of one's own may take a number by that name."""
+    from omegaconf import OmegaConf
+
+    declared = OmegaConf.select(_root_, "hardware.noise")
+    return declared if OmegaConf.is_dict(declared) else {}
 
 
 def set_value(config: DictConfig, key: str, value: Any) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.signal import savgol_coeffs, savgol_filter
 
 from simbias.core.records import Array, Rollout
 
@@ -28,7 +27,12 @@ def noise_of(rollouts: Sequence[Rollout]) -> Array:
         for states in zip(*(rollout.states.T for rollout in rollouts), strict=True)
     ]
     moving = [each[each > LINEAR * each.max(initial=0.0)] for each in thirds]
-    return np.array([np.median(each) if len(each) else 0.0 for each in moving]) / 0.6745 / np.sqrt(20.0)
+    return np.array([robust_deviation(each) if len(each) else 0.0 for each in moving]) / np.sqrt(20.0)
+
+
+def robust_deviation(sizes: Array) -> Array:
+    """Standard deviations (...) of normal numbers of these sizes (k, ...), some of which may be outliers."""
+    return np.asarray(np.median(sizes, axis=0) / 0.6745)
 
 
 def smoothed(rollouts: Sequence[Rollout], frames: int) -> list[Array]:
@@ -39,6 +43,8 @@ def smoothed(rollouts: Sequence[Rollout], frames: int) -> list[Array]:
     tells best of a frame that it has not seen, but for outliers (leave-one-out cross-validation). Where more
     than noise would go, as at a collision, states stay as recorded; so do rollouts of fewer frames.
     """
+    from scipy.signal import savgol_coeffs, savgol_filter  # lazily, as of `Actuators`: few need it
+
     long = [rollout for rollout in rollouts if len(rollout.states) > 2 * frames]
     if frames < FEWEST_AROUND or not long:
         return [rollout.states for rollout in rollouts]
@@ -48,7 +54,7 @@ def smoothed(rollouts: Sequence[Rollout], frames: int) -> list[Array]:
         width = 2 * half + 1
         smooth = np.concatenate([savgol_filter(rollout.states, width, DEGREE, axis=0) for rollout in long])
         removed = np.abs(smooth - recorded)
-        outlying = OUTLIER * np.median(removed, axis=0) / 0.6745
+        outlying = OUTLIER * robust_deviation(removed)
         unseen = np.minimum(removed, outlying) / (1.0 - savgol_coeffs(width, DEGREE)[half])
         errors = np.mean(unseen**2, axis=0)
         best = np.where(errors < least, np.where(removed > outlying, recorded, smooth), best)

@@ -11,6 +11,7 @@ import numpy as np
 
 from simbias.core.records import Array, Indices
 from simbias.learning.measurement_noise import Linearisation, noise_covariance
+from simbias.learning.noise import robust_deviation
 from simbias.simulation.open_loop import Windows
 
 FREEDOM = 1.0  # nu / d: a window of ten times the usual errors has a fiftieth of the usual weight
@@ -48,7 +49,7 @@ class ErrorDistribution:
         least = np.maximum(RELATIVE_FLOOR * np.std(windows.states, axis=0) + 1e-12, windows.noise)
         floor = np.tile(least, J)
         e = np.nan_to_num(errors.reshape(w, -1), nan=np.inf)
-        scale = np.clip(np.median(np.abs(e), axis=0) / 0.6745, floor, CEILING)
+        scale = np.clip(robust_deviation(np.abs(e)), floor, CEILING)
         e = np.clip(e, -CEILING * scale, CEILING * scale)
         estimate = ErrorDistribution(np.diag(scale), freedom)
         shrink = len(floor) / (len(floor) + w)

@@ -165,7 +165,7 @@ def _tags(summary: TrialSummary) -> dict[str, str]:
     """How a trial ended, and on what it ran."""
     tags = {
         "outcome": str(summary.outcome),
-        "error": "" if summary.outcome.final else summary.reason,
+        "error": summary.stopped_by,
         "test_episodes": summary.test_episodes,
         "platform": " then ".join(summary.platforms)[:VALUE_LENGTH],
         "processor": summary.processor,

@@ -18,7 +18,7 @@ from simbias.core.messages import brief
 from simbias.core.parameters import values_at
 from simbias.core.records import Rollout
 from simbias.learning.identification.identified import Identified
-from simbias.learning.identification.posterior import SMOOTHING
+from simbias.learning.identification.posterior import options_of_recordings
 from simbias.learning.identification.rig import Rig
 from simbias.recordings.assessment import Assessment
 from simbias.recordings.excitation import Excitation
@@ -167,9 +167,8 @@ def option_lines(identified: Identified, identification: dict[str, Any]) -> Iter
     yield "# 5% .. most probable .. 95%:"
     for e in identified.estimates:
         yield f"# {brief(e.name)}: {e.low:.5g} .. {e.value:.5g} .. {e.high:.5g} {brief(e.unit)}"
-    if "differences" in identification:  # as recordings are learned from (`Posterior.of_recordings`)
-        smoothing = max(identification.get("smoothing", 0.0), SMOOTHING)
-        identification = identification | {"smoothing": smoothing, "differences": "central"}
+    if "differences" in identification:  # a class of one's own may have none
+        identification = options_of_recordings(identification)
     for key, value in identification.items():
         if key != "known":
             yield f"{key}: {json.dumps(value)}"

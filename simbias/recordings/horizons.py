@@ -77,9 +77,9 @@ class Prediction:
         each = zip(self.identified, self.spreads, self.noises, strict=True)
         own = np.concatenate([sizes(wrong, spread + np.diag(noise**2)) for wrong, spread, noise in each])
         n = self.identified[0].shape[1]
-        return (
-            float(np.sqrt(np.quantile(own, REGION) / _normal_limit(n))) if len(own) >= FEWEST * n else np.nan
-        )
+        if len(own) < FEWEST * n:
+            return np.nan
+        return float(np.sqrt(np.quantile(own, REGION) / _normal_limit(n)))
 
     def _others(self, index: int) -> Known:
         """Errors on all parts but one."""

@@ -32,14 +32,14 @@ class Recovery(NamedTuple):
     @property
     def comes_back(self) -> bool:
         """Whether the data determine it, and the interval tells the truth."""
-        return self.verdict == "yes"
+        return self.deviation < COMES_BACK and self.held >= MOSTLY
 
     @property
     def verdict(self) -> str:
         """That it comes back, or which of both is missing."""
-        if self.deviation >= COMES_BACK:
-            return "not determined"
-        return "yes" if self.held >= MOSTLY else "interval too narrow"
+        if self.comes_back:
+            return "yes"
+        return "not determined" if self.deviation >= COMES_BACK else "interval too narrow"
 
 
 class Take(NamedTuple):

@@ -48,16 +48,11 @@ def verdict(assessment: Assessment) -> str:
 
 def _lacking(assessment: Assessment) -> str:
     """A sentence if errors are larger than noise and the model's uncertainty explain; else ""."""
-    times, seconds = max(
-        (
-            (one.unexplained(), one.seconds)
-            for one in assessment.predictions
-            if one.unexplained() > UNEXPLAINED
-        ),
-        default=(0.0, 0.0),
-    )
-    if not times:
+    each = [(one.unexplained(), one.seconds) for one in assessment.predictions]
+    larger = [(times, seconds) for times, seconds in each if times > UNEXPLAINED]  # not where it is nan
+    if not larger:
         return ""
+    times, seconds = max(larger)
     return (
         f" Errors after {seconds:g} s are {times:.1f} times what measurement noise and intervals explain: "
         "the model lacks something, and its values are those that predict best, which may not be the robot's."

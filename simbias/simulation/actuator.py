@@ -59,13 +59,12 @@ class Actuators:
     ) -> None:
         self._taps = taps
         keep = [math.exp(-time_step / a.lag) if a.lag > 0 else 0.0 for a in actuators]
-        before = [a.lag / time_step * (1.0 - k) for a, k in zip(actuators, keep, strict=True)]
+        means = [a.lag / time_step * (1.0 - k) for a, k in zip(actuators, keep, strict=True)]
+        before = means if averaged else keep
         frames = [min(round(a.delay / time_step, 9), taps) for a in actuators]
         weights = np.maximum(0.0, 1.0 - np.abs(np.array(frames)[:, None] - np.arange(taps + 1)))
         columns = [[a.gain, a.offset, a.limit] for a in actuators]
-        self._parameters = np.column_stack(
-            [columns, keep, before if averaged else keep, weights]
-        )  # (m, 6 + taps)
+        self._parameters = np.column_stack([columns, keep, before, weights])  # (m, 6 + taps)
         self.state_size = len(actuators) * (1 + taps)
         self.ideal = all(actuator == Actuator() for actuator in actuators)
         self.kernel = Kernel(_act(len(actuators), taps), self._parameters.ravel())

@@ -75,7 +75,7 @@ def row(trial: Trial, sweep: Sweep, summary: TrialSummary) -> dict[str, Any]:
         "experiments": summary.experiments_until_success,
         "iterations": summary.iterations_until_success,
         **{name: getattr(summary, name) for name in ("seconds", *LATER)},
-        "raised": "" if summary.outcome.final else summary.reason,
+        "raised": summary.stopped_by,
     }
 
 

@@ -85,7 +85,7 @@ def describe(study: Study, prediction: Prediction, bounds: Bounds) -> Iterator[s
         limited = f" (limit {limit:.4g})" if np.isfinite(limit) else ""
         yield f"{quantity.name} changes by at most {change:.4g} {quantity.unit} in a second{limited}."
     if exceeded(expected, task, bounds):
-        parts = (expected.part(0, frame + 1) for frame in range(expected.frames))
+        parts = (expected.part(max(frame - 1, 0), frame + 1) for frame in range(expected.frames))
         beyond_in = enumerate(exceeded(part, task, bounds) for part in parts)
         frame, beyond = next(each for each in beyond_in if each[1])
         yield f"Predicted: aborted by hardware.safety after {frame * task.time_step:.2f} s, beyond {beyond}."

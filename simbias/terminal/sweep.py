@@ -97,8 +97,7 @@ class SweepConsole(SweepObserver):
         if not summary.outcome.final or not self._console.is_terminal:
             done = f"[{len(self._outcomes)}/{self._total}]"
             made = counted(summary.experiments, "experiment")
-            stopped = "" if summary.outcome.final else summary.reason
-            outcome = stopped or f"{summary.outcome} after {made}"
+            outcome = summary.stopped_by or f"{summary.outcome} after {made}"
             few = self._outcomes.count(Outcome.ERROR) <= SHOWN_ERRORS  # files that anyone reads
             if file := traceback_file(summary, result.traceback if few else ""):
                 outcome += f" (traceback in {file})"

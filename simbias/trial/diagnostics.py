@@ -98,8 +98,7 @@ def of_safety(theta: Array, start: Array, model: Model | None, study: Study) -> 
     task, safety = study.task, study.conditions.safety
     if model is None or not safety.limits:
         return
-    in_searches = simulator(model, cost=study.cost)  # the loop that they have compiled
-    if beyond := exceeded(in_searches.rollout(theta, start), task, safety.bounds(task)):
+    if beyond := exceeded(_simulated_on(model, theta, start, study.cost), task, safety.bounds(task)):
         yield Remark(
             "a policy goes beyond hardware.safety in simulation",
             f"this policy goes beyond hardware.safety in simulation: {beyond}; experiments are "
@@ -117,7 +116,7 @@ def of_model(theta: Array, model: Model, cost: Cost) -> Iterator[Remark]:
         return
 
     def fails(other: Nominal) -> bool:
-        rollout = simulator(replace(model, nominal=other), cost=cost).rollout(theta, model.task.start_mean)
+        rollout = _simulated_on(replace(model, nominal=other), theta, model.task.start_mean, cost)
         return rollout.failed_at is not None
 
     directions = undetermined(nominal)
@@ -139,9 +138,14 @@ def of_prediction(theta: Array, model: Model | None, study: Study) -> Iterator[R
     if model is None:
         return
     if model.task.says_success:
-        in_searches = simulator(model, cost=study.cost)  # the loop that they have compiled
-        yield from of_goal(in_searches.rollout(theta, model.task.start_mean), model.task)
+        rollout = _simulated_on(model, theta, model.task.start_mean, study.cost)
+        yield from of_goal(rollout, model.task)
     yield from of_model(theta, model, study.cost)
+
+
+def _simulated_on(model: Model, theta: Array, start: Array, cost: Cost) -> Rollout:
+    """The rollout of a policy theta (p,), in the loop that searches with this cost have compiled."""
+    return simulator(model, cost=cost).rollout(theta, start)
 
 
 def of_reset(iteration: Iteration, max_cost: float) -> Iterator[Remark]:

@@ -73,6 +73,11 @@ class TrialSummary:
     diagnostics: tuple[str, ...] = ()  # what is odd about it
 
     @property
+    def stopped_by(self) -> str:
+        """The reason why it has not ended; "" if it has."""
+        return "" if self.outcome.final else self.reason
+
+    @property
     def effort(self) -> str:
         """Experiments made, with iterations and time in brackets."""
         made = counted(self.experiments, "hardware experiment")

@@ -17,6 +17,7 @@ from simbias.learning.bias.none import ZeroBias
 from simbias.learning.bias.posterior import GPSample, Posterior
 from simbias.learning.bias.sensitivity import sensitivities
 from simbias.learning.covariance import Hyperparameters, stable_cholesky
+from simbias.learning.noise import robust_deviation
 from simbias.learning.prediction_errors import ErrorDistribution, correlation_time
 from simbias.simulation.open_loop import PredictionModel, Windows, predict
 
@@ -87,7 +88,7 @@ class WindowGP(Bias):
         residuals = windows.means - predict([PredictionModel(nominal)], windows)[0]
         errors = ErrorDistribution.of(residuals, windows)
         last = residuals[:, -1]
-        most = 4.0 * np.median(np.abs(last), axis=0) / 0.6745  # four robust standard deviations
+        most = 4.0 * robust_deviation(np.abs(last))  # four robust standard deviations
         unit = np.sqrt(np.mean(np.clip(last, -most, most) ** 2, axis=0)) / self._window
         unit = np.maximum(unit, LEAST_SIGNAL)
         for length in self._length_scales:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -119,7 +120,7 @@ class Posterior(Identification):
         self._rounds = rounds
         self._evaluations = evaluations
         self._longer = longer_windows or []
-        self._smoothed = round(smoothing / task.time_step)  # frames
+        self._smoothing = smoothing
         self._differences = differences
         self._noise = np.sqrt(Noise(task, noise).sensor_variance[: len(task.without_targets.states)])
 
@@ -144,8 +145,8 @@ class Posterior(Identification):
     def of_recordings(self) -> Posterior:
         """A copy with central differences, whose predictions begin at smoothed states."""
         other = copy(self)
-        other._differences = "central"
-        other._smoothed = max(self._smoothed, round(SMOOTHING / self._time_step))
+        options = options_of_recordings({"smoothing": self._smoothing})
+        other._smoothing, other._differences = options["smoothing"], options["differences"]
         return other
 
     def with_known(self, known: Known) -> Posterior:
@@ -157,8 +158,8 @@ class Posterior(Identification):
     def windows(self, rollouts: Sequence[Rollout], recordings: Sequence[str] = ()) -> Windows:
         """Experiments, cut as predictions are compared with them."""
         windows = self.cut(rollouts)
-        if self._smoothed:
-            made = zip(rollouts, smoothed(rollouts, self._smoothed), strict=True)
+        if frames := round(self._smoothing / self._time_step):
+            made = zip(rollouts, smoothed(rollouts, frames), strict=True)
             smooth = [replace(rollout, states=states) for rollout, states in made]
             windows = replace(windows, smoothed=self.cut(smooth).states)
         if not recordings:
@@ -230,6 +231,12 @@ class Posterior(Identification):
             for each in problem.prediction_errors(z)
         ]
         return z[np.argmax(fits - 0.5 * np.sum(z**2, axis=1))]
+
+
+def options_of_recordings(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options of a posterior with those that recordings are learned from with."""
+    smoothing = max(options.get("smoothing", 0.0), SMOOTHING)
+    return {**options, "smoothing": smoothing, "differences": "central"}
 
 
 def _no_wider(spread: Array) -> Array:
