@@ -39,9 +39,9 @@ def smoothed(rollouts: Sequence[Rollout], frames: int) -> list[Array]:
     """States (k + 1, n) of each rollout without most of their white noise.
 
     Each is that of a polynomial through the frames around, at most `frames` to each side (A. Savitzky and
-    M. J. E. Golay, Analytical Chemistry 36, 1964). How many depends on the state: with them, a polynomial
-    tells best of a frame that it has not seen, but for outliers (leave-one-out cross-validation). Where more
-    than noise would go, as at a collision, states stay as recorded; so do rollouts of fewer frames.
+    M. J. E. Golay, Analytical Chemistry 36, 1964). For each state, their number is chosen by leave-one-out
+    cross-validation, robust to outliers. Where more than noise would go, as at a collision, states stay as
+    recorded; so do rollouts of fewer frames.
     """
     from scipy.signal import savgol_coeffs, savgol_filter  # lazily, as of `Actuators`: few need it
 

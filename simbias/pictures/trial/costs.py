@@ -78,7 +78,7 @@ def costs(study: Study, iterations: Sequence[Iteration]) -> Figure:
     shade_beyond(by_iteration, limit, r"limit $Z_{\max}$")
     _divide(pairs, limit)
     headline(by_iteration, "Predicted and measured cost of each policy")
-    headline(pairs, "Each experiment and its simulation")
+    headline(pairs, "Each experiment, by its iteration's number")
     for axes in (by_iteration, pairs):
         plain(axes)
     legend(figure, LEGEND)
