@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from pendulum import QUICK, experiment, pendulum
 
@@ -63,6 +63,7 @@ def test_motion_without_noise_stays() -> None:
 
 
 @given(at=st.integers(40, 160), jump=st.floats(1.0, 1e3))
+@settings(deadline=None)
 def test_a_collision_stays_where_it_is(at: int, jump: float) -> None:
     """A velocity that jumps in one frame is moved by no more than its noise, nor in other recordings."""
     noise = 0.01 * np.random.default_rng(at).standard_normal(200)
