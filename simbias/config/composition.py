@@ -143,7 +143,7 @@ class Variations:
         groups = by_hydra(tuple(split.structure)).choices if settings else {}
         options = [f"{key}={value}" for key, value in settings.items() if key in groups]
         whole = by_hydra((*split.structure, *options))
-        config = whole.config.copy()
+        config = whole.configs.copy()
         values = split.values | {key: value for key, value in settings.items() if key not in groups}
         for key, value in values.items():
             set_value(config, key, value)

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from simbias.config.copies import Copies
 from simbias.config.renamed import unknown
 from simbias.config.resources import register_sweep, resource_folder
 from simbias.core.errors import ConfigError, reason
@@ -24,7 +25,7 @@ SEVERAL = "has several values: a list needs brackets, many trials are a sweep (+
 class Composed(NamedTuple):
     """A composition by Hydra."""
 
-    config: DictConfig  # interpolations not yet resolved
+    configs: Copies  # interpolations not yet resolved
     choices: Mapping[str, str]
 
 
@@ -53,7 +54,7 @@ def composed(overrides: Sequence[str], config_dir: str | None, grid: bool, files
     with open_dict(config):
         del config["hydra"]
     OmegaConf.set_struct(config, True)
-    return Composed(config, choices)
+    return Composed(Copies(config), choices)
 
 
 def _noise_of_hardware(*, _root_: DictConfig) -> Any:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from copy import deepcopy
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from hydra.core.plugins import Plugins
 from hydra.plugins.config_source import ConfigResult, ConfigSource
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 
+from simbias.config.copies import Copies
 from simbias.config.resources import check_ends, resource_folder
 
 SCHEME = "simbias"
@@ -31,7 +31,9 @@ class OptionFiles(_Files):
     def load_config(self, config_path: str) -> ConfigResult:
         """The content of a file, which Hydra changes as it composes; read again once the file has changed."""
         about = os.stat(os.path.join(self.path, f"{config_path.removesuffix('.yaml')}.yaml"))
-        return deepcopy(_read(self.provider, self.path, config_path, about.st_mtime_ns, about.st_size))
+        read = _read(self.provider, self.path, config_path, about.st_mtime_ns, about.st_size)
+        result: ConfigResult = read.copy()
+        return result
 
 
 class ShippedOptions(SearchPathPlugin):
@@ -45,11 +47,10 @@ class ShippedOptions(SearchPathPlugin):
 
 
 @lru_cache(maxsize=1000)
-def _read(provider: str, folder: str, config_path: str, time: int, size: int) -> ConfigResult:
-    """A file's content as Hydra reads it, to be copied."""
+def _read(provider: str, folder: str, config_path: str, time: int, size: int) -> Copies:
+    """A file's content as Hydra reads it."""
     check_ends(Path(folder, f"{config_path.removesuffix('.yaml')}.yaml"))
-    read: ConfigResult = _Files(provider, f"file://{folder}").load_config(config_path)
-    return read
+    return Copies(_Files(provider, f"file://{folder}").load_config(config_path))
 
 
 @cache
