@@ -14,7 +14,9 @@ from simbias.core.records import Array, Rollout
 from simbias.core.robot import TURNS
 from simbias.lab.signals import Signal, Signals, signals, split_name
 from simbias.lab.units import factor
+from simbias.learning.noise import noise_of
 
+MOST_TURNS = 1.5  # from one sample of a wrapped angle to the next
 GAP = 5.0  # usual intervals between samples: what is longer is a gap
 FEWEST_FRAMES = 2  # of a gap
 RAREST = 20.0  # frames from one sample to the next of what is measured most often: a time in other units,
@@ -25,7 +27,9 @@ LATEST, CLEARLY = 0.1, 0.5  # s that a rate may be late; its share of squared di
 TWICE = 2.0  # how much positions may differ from the integrals of velocities, and inputs exceed their limit
 MOSTLY = 0.99  # of the frames: peaks of a sensor's noise exceed more
 TOLERANCE = 1.05  # times an input's limit, up to which nothing is said
-CORRELATED = 0.8  # below, velocities say too little to be compared
+CORRELATED = 0.8  # below, velocities say too little for their size to be compared
+UNRELATED, CLEAR = 0.3, 4.0  # below, however late: others, if both change by so many times their noise
+LASTING = 0.5  # s of changes, which tell that
 NEAR = 0.01  # of a frame from its start: a sample that is nearer belongs to it
 
 
@@ -71,7 +75,7 @@ class Reader:
             pieces.append(piece)
             times.append(measured)
         measured_rates = {i: position for i, position in self._rates.items() if i in found}
-        check_rates(str(path), [piece.states for piece in pieces], self._task, measured_rates)
+        check_rates(str(path), pieces, self._task, measured_rates)
         notes += [
             *self._late(measured_rates, pieces),
             *self._beyond_limits(path, pieces),
@@ -110,6 +114,14 @@ class Reader:
                 )
             values = signal.values[first] * scale
             if (turn := TURNS.get(quantity.unit)) and i < len(self._task.states):
+                jumps = np.flatnonzero(np.abs(np.diff(values)) > MOST_TURNS * turn)
+                if len(jumps):
+                    first, then = times[jumps[0] : jumps[0] + 2]
+                    jump = f"{values[jumps[0] + 1] - values[jumps[0]]:.3g} {quantity.unit}"
+                    raise HardwareError(
+                        f"{file.path}: column {name} jumps by {jump} from {first:.6g} s to {then:.6g} s, "
+                        f"more than a turn"
+                    )
                 unwound = np.unwrap(values, period=turn)
                 if not np.array_equal(unwound, values):
                     notes.append(f"{quantity.name} was wrapped")
@@ -191,17 +203,14 @@ class Reader:
     def _late(self, measured_rates: Mapping[int, int], pieces: list[Rollout]) -> list[str]:
         """Notes on recorded rates that agree clearly better with how their values changed before."""
         frame, names, notes = self._task.time_step, [state.name for state in self._task.states], []
-        k, latest = max(1, round(SLOWEST / frame)), max(1, round(LATEST / frame))
-        long = [piece.states for piece in pieces if len(piece.states) > latest + k]
+        latest = _frames(LATEST, frame)
+        long = [piece.states for piece in pieces if len(piece.states) > latest + _frames(SLOWEST, frame)]
         for i, position in measured_rates.items():
             errors = np.zeros(latest + 1)  # by frames that the rate is late
-            for states in long:
-                values, rates = states[: len(states) - latest, position], states[:, i]
-                moved = values[k:] - values[:-k]
-                told = frame * (np.cumsum(rates) - rates / 2)  # by the trapezoidal rule
-                changes = told[k:] - told[:-k]
-                lagged = (changes[late : late + len(moved)] for late in range(latest + 1))
-                errors += [np.sum((each - moved) ** 2) for each in lagged]
+            for late in range(latest + 1) if long else ():
+                alike = [states[: len(states) - latest + late] for states in long]  # as many changes
+                moved, told = _changes(alike, i, position, frame, late)
+                errors[late] = np.sum((told - moved) ** 2)
             late = int(np.argmin(errors))
             if errors[late] < CLEARLY * errors[0]:
                 follows = f"{names[i]} follows {names[position]} by {1e3 * late * frame:.3g} ms"
@@ -241,27 +250,60 @@ def rates_of(task: Task) -> dict[int, int]:
     return {i: i - half for i in range(half, len(units)) if units[i] == f"{units[i - half]}/s"}
 
 
-def check_rates(source: str, pieces: Sequence[Array], task: Task, rates: Mapping[int, int]) -> None:
+def check_rates(source: str, pieces: Sequence[Rollout], task: Task, rates: Mapping[int, int]) -> None:
     """Refuse rates that are not those of their values: degrees, a time in ms, a wrong column.
 
-    Pieces are states (k, n) in the task's frames; rates map places of states to those of what they are the
-    rates of.
+    Rates map places of states to those of what they are the rates of.
     """
-    k = max(1, round(SLOWEST / task.time_step))
+    names, noise = [state.name for state in task.states], noise_of(pieces)
+    recorded = [piece.states for piece in pieces]
     for i, position in rates.items():
-        moved = np.concatenate([states[k:, position] - states[:-k, position] for states in pieces])
-        sums = [np.cumsum(states[:, i]) * task.time_step for states in pieces]
-        told = np.concatenate([total[k:] - total[:-k] for total in sums])
-        size = float(told @ told), float(moved @ moved)
-        if min(size) <= 0 or abs(told @ moved) < CORRELATED * np.sqrt(size[0] * size[1]):
-            continue
-        ratio = float(told @ moved) / size[0]
-        if not 1 / TWICE < ratio < TWICE:
-            names = [task.states[j].name for j in (position, i)]
-            raise HardwareError(
-                f"{source}: {names[0]} changes {ratio:.3g} times as fast as {names[1]} says: "
-                f"is a unit wrong, or a column?"
-            )
+        moved, told = _changes(recorded, i, position, task.time_step)
+        if abs(_agreement(moved, told)) >= CORRELATED:
+            ratio = float(told @ moved) / float(told @ told)
+            if not 1 / TWICE < ratio < TWICE:
+                raise HardwareError(
+                    f"{source}: {names[position]} changes {ratio:.3g} times as fast as {names[i]} says: "
+                    f"is a unit wrong, or a column?"
+                )
+        elif (
+            len(moved) >= LASTING / task.time_step
+            and _is_clear(moved, noise[position])
+            and _is_clear(told / SLOWEST, noise[i])
+        ):
+            lags = range(_frames(LATEST, task.time_step) + 1)
+            late = (_changes(recorded, i, position, task.time_step, frames) for frames in lags)
+            if max(_agreement(*each) for each in late) < UNRELATED:
+                raise HardwareError(
+                    f"{source}: {names[position]} does not change as {names[i]} says: is it another column?"
+                )
+
+
+def _changes(
+    pieces: Sequence[Array], rate: int, position: int, frame: float, late: int = 0
+) -> tuple[Array, Array]:
+    """Changes (m,) of a state over a while, and those that its rate, some frames late, tells (trapezoids)."""
+    k = _frames(SLOWEST, frame)
+    sums = [frame * (np.cumsum(states[:, rate]) - states[:, rate] / 2) for states in pieces]
+    told = [total[late + k :] - total[late : len(total) - k] for total in sums]
+    moved = [states[k:, position] - states[:-k, position] for states in pieces]
+    return np.concatenate([m[: len(t)] for m, t in zip(moved, told, strict=True)]), np.concatenate(told)
+
+
+def _agreement(moved: Array, told: Array) -> float:
+    """The correlation, about zero, of two series (m,); 0 where one is zero."""
+    size = float(told @ told) * float(moved @ moved)
+    return float(told @ moved) / np.sqrt(size) if size > 0 else 0.0
+
+
+def _is_clear(changes: Array, noise: float) -> bool:
+    """Whether changes (m,) are many times what noise of this deviation makes of them."""
+    return float(np.sqrt(np.mean(changes**2))) > CLEAR * noise
+
+
+def _frames(seconds: float, frame: float) -> int:
+    """The number of frames, one at least, that are nearest to a time in s."""
+    return max(1, round(seconds / frame))
 
 
 def _factor(file: Signals, name: str, unit: str, wanted: str) -> float:

@@ -23,6 +23,7 @@ LARGEST_SPREAD = LARGEST_ERROR = 1e6  # in place of one that is not finite
 CHANGE = 0.1  # share of the predicted change by which predictions of other recordings may be wrong
 EXACT = 1e-4  # of a state's standard deviation: errors that no one asks to be explained
 FEWEST = 5  # errors that a region is estimated from, for each state
+NARROWEST = 1e-100  # deviation, that of what never moved: its square is a number
 SMALLEST, LARGEST = 1e-150, 1e150  # errors: their ratio is a number
 MOST_RATIO = 1e3  # of errors, or one over it: what blows up counts as this
 
@@ -238,7 +239,7 @@ def _rmse(wrong: Array) -> Array:
 
 def sizes(wrong: Array, covariances: Array) -> Array:
     """Squared sizes (w,) of errors (w, n) in terms of covariances (w, n, n)."""
-    scale = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2)) + np.finfo(float).tiny
+    scale = np.maximum(np.sqrt(np.diagonal(covariances, axis1=1, axis2=2)), NARROWEST)
     scaled = np.clip(wrong, -LARGEST_ERROR, LARGEST_ERROR) / scale
     correlations = covariances / (scale[:, :, None] * scale[:, None, :])
     return np.einsum("wi,wij,wj->w", scaled, np.linalg.pinv(correlations, hermitian=True), scaled)

@@ -222,6 +222,20 @@ def test_a_late_velocity_is_told(study: Study, rollout: Rollout, tmp_path: Path)
     assert late.notes == ("vel2 follows pos2 by 10 ms; without its column, it is estimated",)
 
 
+def test_another_column_in_place_of_a_velocity_is_refused(
+    study: Study, rollout: Rollout, tmp_path: Path
+) -> None:
+    """Not one that is late, nor noise around rest."""
+    table = frame(rollout)
+    swapped = table.assign(pos1=table["vel1"], vel1=table["pos1"])
+    with one_line(r"one\.csv: pos1 does not change as vel1 says: is it another column\?", HardwareError):
+        read(study, swapped, tmp_path)
+    late = read(study, table.assign(vel1=table["vel1"].shift(40, fill_value=0.0)), tmp_path)
+    assert late.notes == ("vel1 follows pos1 by 80 ms; without its column, it is estimated",)
+    rest = np.random.default_rng(0).standard_normal((2, len(table)))
+    assert read(study, table.assign(pos1=1e-3 * rest[0], vel1=0.1 * rest[1]), tmp_path).pieces
+
+
 @pytest.mark.slow
 def test_what_cannot_be_meant_so_is_one_line(study: Study, rollout: Rollout, tmp_path: Path) -> None:
     cases: list[tuple[dict[str, float], dict[str, str], str]] = [
@@ -240,6 +254,12 @@ def test_what_cannot_be_meant_so_is_one_line(study: Study, rollout: Rollout, tmp
             read(study, table, tmp_path, **columns)
         assert "one.csv" in str(error.value)
     assert read(study, table, tmp_path, time="time [ns]").pieces
+    outlier = frame(rollout)
+    outlier.loc[100, "pos1"] = 1e6
+    with one_line(
+        r"one\.csv: column pos1 jumps by 1e\+06 rad from 0\.198 s to 0\.2 s, more than a turn", HardwareError
+    ):
+        read(study, outlier, tmp_path)
     rare = frame(rollout).drop(columns=["vel1", "vel2"]).assign(time=0.1 * np.arange(1000))
     assert read(study, rare.rename(columns={"time": "time [s]"}), tmp_path).pieces
     assert read(study, rare, tmp_path, time="time [s]").pieces

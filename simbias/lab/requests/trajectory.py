@@ -133,7 +133,7 @@ def frame(recording: Recording, request: ExperimentRequest, source: str) -> Roll
     else:
         states = np.stack([np.interp(wanted, times, column) for column in measured.T], axis=1)
         inputs = _means(times, recording.inputs, wanted)
-    check_rates(source, [states], task, rates_of(task))
+    check_rates(source, [Rollout(states, inputs)], task, rates_of(task))
     _tell_what_stands_still(states, task, source)
     within = times[-1] <= (task.horizon + JITTER) * task.time_step  # what fails later has lasted
     failure = recording.failure if within else None
