@@ -88,6 +88,17 @@ def _pictures(parsed: argparse.Namespace) -> int:
     return SUCCEEDED
 
 
+def _controller(parsed: argparse.Namespace) -> int:
+    """Write the controller of a trial's last policy."""
+    from simbias.lab.requests.folder import write_controller
+
+    trial = load_trial(parsed.trial, uri=parsed.uri, config_dir=parsed.config_dir, allow=parsed.allow)
+    policy = f"the last policy of {trial.study.title}, seed {trial.study.seed}: {trial.outcome}"
+    files = write_controller(trial.next_experiment, Path(parsed.folder), policy)
+    print(f"{parsed.folder}: {', '.join(files)} of {policy}")
+    return SUCCEEDED
+
+
 def _report(parsed: argparse.Namespace) -> int:
     """Write the page of a trial or a sweep."""
     from simbias.report.folder import write_report
@@ -225,6 +236,7 @@ COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "identify": _identify,
     "excite": _excite,
     "pictures": _pictures,
+    "controller": _controller,
     "report": _report,
     "withdraw": _withdraw,
     "new": _new,

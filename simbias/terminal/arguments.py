@@ -151,9 +151,17 @@ def _add_of_recordings(commands: Any, own: argparse.ArgumentParser) -> None:
 def _add_of_folders(commands: Any, own: argparse.ArgumentParser) -> None:
     """The commands that read, change or make a folder."""
     pictures = _add(commands, "pictures", "draw all pictures of a trial", parents=[own])
-    pictures.add_argument("trial", help="its folder, or its run in MLflow")
-    pictures.add_argument("folder", help="where PNG, SVG and GIF files are written")
-    pictures.add_argument("--uri", default="sqlite:///mlflow.db", help="of the run (default: %(default)s)")
+    of_policy = "It has no time limit: a trial's experiments end at the task's horizon, and it goes on."
+    controller = _add(
+        commands, "controller", "write a trial's last policy in C and in Python", of_policy, parents=[own]
+    )
+    for each, of_folder in (
+        (pictures, "where PNG, SVG and GIF files are written"),
+        (controller, "where controller.h, controller.py and policy.json are written"),
+    ):
+        each.add_argument("trial", help="its folder, or its run in MLflow")
+        each.add_argument("folder", help=of_folder)
+        each.add_argument("--uri", default="sqlite:///mlflow.db", help="of the run (default: %(default)s)")
     about = "write one HTML page of a trial or a sweep"
     report = _add(commands, "report", about, "It is report.html, in the same folder.", parents=[own])
     of_page = "of a trial or a sweep, or that of all trials: a page of each sweep"

@@ -11,11 +11,13 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from simbias.core import Waiting, platform
+from simbias.core import Controller, Waiting, platform
 from simbias.core.error_origin import told
 from simbias.core.errors import ConfigError
 from simbias.core.messages import with_trace, words
 from simbias.core.records import Iteration, Rollout
+from simbias.lab.requests.request import ExperimentRequest
+from simbias.lab.safety import SafetyLimitedPolicy
 from simbias.trial import diagnostics
 from simbias.trial.claim import claim_of
 from simbias.trial.folder import Withdrawal
@@ -45,6 +47,34 @@ class TrialRecord:
     def outcome(self) -> Outcome:
         """How the trial ended or stopped."""
         return self.summary.outcome
+
+    @property
+    def next_experiment(self) -> ExperimentRequest:
+        """Another experiment with the last policy, as that of its iteration ran, from the mean start.
+
+        The policy takes from the model of that iteration what it takes from a model, as an observer's gains;
+        the study's own has them of the nominal model.
+
+        Raises
+        ------
+        ConfigError
+            If no iteration has ended.
+        """
+        if not self.iterations:
+            raise ConfigError("trial", "no iteration of it has ended, so it has no policy yet")
+        last, task, safety = self.iterations[-1], self.study.task, self.study.conditions.safety
+        policy = self.study.designed_on(last.model).policy
+        if safety.limits:
+            policy = SafetyLimitedPolicy(policy, task, safety.bounds(task))
+        return ExperimentRequest(task, policy, last.parameters, task.start_mean)
+
+    def controller(self) -> Controller:
+        """The controller of the last policy, within `hardware.safety`; errors as of `next_experiment`.
+
+        >>> controller = simbias.load_trial("trials/7a29f4c5425f").controller()
+        >>> u = controller(x)  # of each frame, from an episode's first one on
+        """
+        return self.next_experiment.controller()
 
 
 def run_trial(study: Study, folder: Path | None = None, observer: Observer | None = None) -> TrialRecord:

@@ -28,7 +28,7 @@ from simbias.trial.study import Study
 
 COMPILER = shutil.which("cc")
 THETA = np.array([1.0, -2.0, 3.0, 0.5, -1.0])
-STRICT = ["-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", "-O2"]
+STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-pedantic", "-Werror", "-O2"]
 
 
 class Integral(Policy):

@@ -45,7 +45,10 @@ def answer(folder: Path) -> None:
 
 @pytest.mark.slow
 def test_a_trial_waits_for_a_person_and_resumes(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Request by request, with a wrong file between; it ends as the trial on the simulated hardware."""
+    """Request by request, with a wrong file between; it ends as the trial on the simulated hardware.
+
+    The controller of its last policy, written afterwards, is that of the last request.
+    """
     store = ["tracking=folders", "tracking.pictures=false", f"tracking.trials={folder / 'trials'}"]
     command = ["--config-dir", str(OWN_CONF), "--allow", "point_mass", *OWN, "hardware=manual", *store]
     status, answered = main(command), 0
@@ -71,6 +74,14 @@ def test_a_trial_waits_for_a_person_and_resumes(folder: Path, capsys: pytest.Cap
     assert status == SUCCEEDED
     simulated = list(build(compose([*OWN, "hardware=point_mass"], OWN_CONF)).run())
     assert answered == simulated[-1].total_experiments == len(list(Path("requests").iterdir()))
+    (trial,) = Path("trials").glob("*/outcome.json")
+    own = ["--config-dir", str(OWN_CONF), "--allow", "point_mass"]
+    assert main(["controller", str(trial.parent), "mine", *own]) == SUCCEEDED
+    assert "mine: controller.h, controller.py, policy.json of the last policy of " in capsys.readouterr().out
+    for name in "controller.h", "controller.py":
+        title, *law = Path("mine", name).read_text().splitlines()
+        assert law == (asked / name).read_text().splitlines()[1:]
+        assert "succeeded" in title
 
 
 def run(study: Study, folder: Path, start: Array, seed: int = 3, safety: Safety | None = None) -> str:

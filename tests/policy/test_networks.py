@@ -13,7 +13,7 @@ from point_mass import PointMass, WithoutWind
 import simbias
 from simbias.core import Model, Policy, Task
 from simbias.core.errors import ConfigError
-from simbias.core.records import Array, Rollout
+from simbias.core.records import Array, Iteration, Rollout
 from simbias.learning.identification.rig import Motor, Rig
 from simbias.policy.network import Network
 from simbias.policy.observer import (
@@ -31,7 +31,9 @@ from simbias.simulation.compiled import CompiledSimulator
 from simbias.simulation.linearization import linearization
 from simbias.simulation.noise import Noise
 from simbias.simulation.numpy_loop import PlainSimulator
+from simbias.trial.run import TrialRecord
 from simbias.trial.study import Study
+from simbias.trial.summary import Outcome, TrialSummary
 
 
 @pytest.fixture(scope="module")
@@ -275,6 +277,9 @@ def test_the_policy_that_runs_is_that_of_the_model(cartpole: Study, turning: Tas
         assert study.designed_on(model).policy is model.policy
         assert study.designed_on(study.model()) is study
         assert model.policy.state_size == study.policy.state_size + other.state_size
+        last = Iteration(0, np.zeros(study.policy.n_parameters), (), 0.0, True, 0, model)
+        trial = TrialRecord(study, TrialSummary(Outcome.SUCCEEDED), (last,))
+        assert trial.next_experiment.policy is model.policy
 
 
 BOARD = ["preset=acrobot_board", "policy.latency=0", "policy.input_weight=100", "tracking=none"]

@@ -147,7 +147,7 @@ def c_header(task: Task, law: Formulas, title: str, bounds: Bounds) -> str:
     lines += [f"u[{i}] = {value};" for i, value in enumerate(u)]
     lines += [f"next[{i}] = {value};" for i, value in enumerate(policy_state)]
     s = len(policy_state)
-    before = ["const double t = controller->frame * SIMBIAS_TIME_STEP;"] * law.time_dependent
+    before = ["const double t = (double)controller->frame * SIMBIAS_TIME_STEP;"] * law.time_dependent
     before += ["const double *policy_state = controller->policy_state;", f"double next[{s}];"] * (s > 0)
     constants = [
         f"static const double {name}[{len(values)}] = {{{', '.join(map(C.number, values.tolist()))}}};"

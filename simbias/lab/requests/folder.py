@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from simbias.core.errors import ConfigError
 from simbias.lab.checks import start_tolerance
 from simbias.lab.requests.request import HEADER, MODULE, ExperimentRequest
 from simbias.lab.requests.trajectory import template
@@ -44,7 +45,7 @@ CODE = (
 )
 NO_CODE = (
     "This policy cannot be written out as code ({why}). Its parameters are in "
-    f"{POLICY}; run it by `study.policy.controller(parameters, time_step)`."
+    f"{POLICY}. It runs in Python alone: a class of your own in place of hardware=manual is given it."
 )
 
 
@@ -67,6 +68,26 @@ def write_request(request: ExperimentRequest, folder: Path) -> Path:
         (part / name).write_text(text, encoding="utf-8")
     part.rename(own)
     return own
+
+
+def write_controller(request: ExperimentRequest, folder: Path, title: str) -> list[str]:
+    """A request's controller in C and in Python, with its gains, units and limits; the names of the files.
+
+    Raises
+    ------
+    ConfigError
+        If the policy cannot be written as code.
+    OSError
+        If the folder cannot be written.
+    """
+    if request.why_no_code:
+        problem = f"cannot be written as code ({request.why_no_code}); load_trial(...).controller() runs it"
+        raise ConfigError("policy", problem)
+    folder.mkdir(parents=True, exist_ok=True)
+    texts = {**request.code(title), POLICY: request.text()}
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    return list(texts)
 
 
 def copied_from(trajectory: Path) -> Path | None:
