@@ -83,7 +83,7 @@ def test_only_an_upper_limit_of_a_state_bounds_it() -> None:
     """A goal of a state that must not come near zero is beyond that."""
     far, near = {"value": "abs(position)", "above": 2.0}, {"value": "abs(position)", "below": 0.2}
     goal = {"position": "0.5 + 0.1 * sin(t)"}
-    task = declared(failure={"far": far, "near": near}, goal=goal)
+    task = declared(failure={"far": far, "near": near}, goal=goal, starts=[[0.5, 0, 0, 0]])
     assert [criterion.bounds for criterion in task.criteria] == [{"position": 2.0}, {}]
     assert task.violated(np.array([[0.3, 0, 0, 0], [0.1, 0, 0, 0], [2.1, 0, 0, 0]])).tolist() == [-1, 1, 0]
 
@@ -134,6 +134,7 @@ def test_a_file_draws_its_geoms() -> None:
     assert "floor" not in by_file
 
 
+NEVER = {"near": {"value": "abs(position_error)", "below": -0.1, "unit": "m"}}
 STILL = {"still": {"value": "abs(angle_error)", "below": 0.1}}
 PULSES = {"count": 3, "amplitude": [20.0, 50.0], "seconds": [0.05, 0.1]}
 
@@ -284,7 +285,11 @@ def test_what_cannot_be_meant_is_refused() -> None:
         ({"goal": {"position": "angle"}}, "goal.position: 'angle': nothing is called angle; there is t"),
         ({"success": STILL}, "success and hold are to be given together"),
         ({"success": STILL, "hold": 6.0}, "hold is 6 s, and an episode 5 s: none can succeed"),
+        ({"success": NEVER, "hold": 1.0}, "success.near cannot hold: .* is 0 m, not below -0.1 at the goal"),
         ({"starts": [[0.0]]}, "each has to have 4 numbers"),
+        ({"starts": [[0.0] * 4, [3.0, 0, 0, 0]]}, "starts.1: the task fails at its start: leaves"),
+        ({"targets": {"aim": {"unit": "m", "uniform": [1, 0]}}}, "targets.aim: uniform is"),
+        ({"failure": {False: {"value": "angle", "above": 1}}}, "^task.failure: False is no name; in quotes"),
         ({"pushes": {"torque": PULSES}}, "pushes: no input is called torque; there is force"),
         ({"pushes": {"force": PULSES | {"amplitude": [-1, 1]}}}, r"expected 0 <= least <= most, got \[-1, 1"),
         ({"reference": "none.csv"}, "reference 'none.csv': .*No such file"),

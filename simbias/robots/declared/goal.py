@@ -152,6 +152,18 @@ class Success:
         self._measures = measures
         self._frames, self._seconds = frames, seconds
 
+    def check_at(self, goal: Array) -> None:
+        """Refuse conditions on errors alone that do not hold where there are none.
+
+        The row (.) has errors of zero; states and time, which may be others at the goal, are nan.
+        """
+        for (name, each), value, limit in zip(
+            self._conditions.items(), self._measures(goal), self._limits, strict=True
+        ):
+            if value <= limit:
+                there = f"{each.value} is {_beside_bound(each, value, limit)} at the goal"
+                raise ValueError(f"success.{name} cannot hold: {there}")
+
     def holds(self, states: Array, times: Array, errors: Array) -> bool:
         """Whether an episode of states (T+1, .) at times (T+1,), with errors (T+1, g), succeeds."""
         return bool((self._least(states, times, errors) > self._limits).all())
@@ -162,9 +174,7 @@ class Success:
         missed = []
         for (name, each), value, limit in zip(self._conditions.items(), least, self._limits, strict=True):
             if not value > limit:
-                side, sign = ("above", 1) if each.below is None else ("below", -1)
-                worst = f"{sign * value:.3g} {each.unit}".strip()
-                missed.append(f"{name} is {worst}, not {side} {sign * limit:g}")
+                missed.append(f"{name} is {_beside_bound(each, value, limit)}")
         return f"in its last {self._seconds:g} s {'; '.join(missed)}"
 
     def _least(self, states: Array, times: Array, errors: Array) -> Array:
@@ -172,6 +182,13 @@ class Success:
         rows = np.concatenate([states, times[:, None], errors], axis=1)[-self._frames :]
         least: Array = self._measures(rows).min(axis=0)
         return least
+
+
+def _beside_bound(condition: Failure, measure: float, limit: float) -> str:
+    """A measure and the limit that it is not above, in the words of the condition."""
+    side, sign = ("above", 1) if condition.below is None else ("below", -1)
+    value = f"{sign * measure + 0.0:.3g} {condition.unit}".strip()
+    return f"{value}, not {side} {sign * limit:g}"
 
 
 def success_names(states: Sequence[str], goals: Sequence[Quantity]) -> list[str]:

@@ -31,6 +31,11 @@ class State:
 class Starts:
     """A distribution of starts: means that are drawn, and normal deviations from them.
 
+    Parameters
+    ----------
+    states
+        By their keys in the config, as `states.angle`.
+
     Raises
     ------
     ValueError
@@ -38,11 +43,11 @@ class Starts:
     """
 
     def __init__(self, states: Mapping[str, State], starts: Sequence[Sequence[float]] | None) -> None:
-        for name, state in states.items():
+        for key, state in states.items():
             if state.uniform is not None and not state.uniform[0] < state.uniform[1]:
-                raise ValueError(f"states.{name}: uniform is {list(state.uniform)}, not from less to more")
+                raise ValueError(f"{key}: uniform is {list(state.uniform)}, not from less to more")
             if (state.uniform is not None) + (state.values is not None) + (state.mean != 0) > 1:
-                raise ValueError(f"states.{name}: one of mean, uniform and values is to be given")
+                raise ValueError(f"{key}: one of mean, uniform and values is to be given")
         if any(len(start) != len(states) for start in starts or ()):
             raise ValueError(f"starts: each has to have {len(states)} numbers, one for each state")
         self._states = tuple(states.values())
@@ -55,6 +60,13 @@ class Starts:
         self.deviation = np.sqrt(self._noise**2 + np.square(spreads) + np.square(listed))  # (n,)
         if not (np.any(spreads) or np.any(listed)):
             self.deviation = self._noise
+
+    @property
+    def means(self) -> Mapping[str, Array]:
+        """States (n,) around which episodes start, by their keys; none where these are drawn."""
+        if self._starts is None:
+            return {} if any(map(_spread, self._states)) else {"states": self.mean}
+        return {f"starts.{index}": start for index, start in enumerate(self._starts)}
 
     def draw(self, rng: np.random.Generator) -> Array:
         """A start (n,)."""

@@ -134,7 +134,8 @@ class Declared(Task):
             Quantity(name, state.unit, state.kind, state.wraps) for name, state in states.items()
         )
         self.targets = self.states[len(robot) :]
-        self._starts = Starts(states, starts)
+        keyed = {f"states.{name}": state for name, state in robot.items()}
+        self._starts = Starts(keyed | {f"targets.{name}": state for name, state in targets.items()}, starts)
         self.start_mean, self.start_deviation = self._starts.mean, self._starts.deviation
 
     def _set_inputs(self, inputs: dict[str, Input]) -> None:
@@ -161,6 +162,12 @@ class Declared(Task):
         for criterion, measure in zip(self.criteria, self.measure(x) if self.targets else (), strict=False):
             if np.isnan(measure):
                 raise ValueError(f"failure.{criterion.name}: a robot's failure cannot depend on targets")
+
+        for key, start in self._starts.means.items():
+            measures = self.measure(start) if self.criteria else ()
+            for criterion, measure in zip(self.criteria, measures, strict=False):
+                if not measure <= criterion.limit:
+                    raise ValueError(f"{key}: the task fails at its start: {criterion.name}")
 
     def _set_drawing(self, drawing: dict[str, Part]) -> None:
         """Set what is drawn: a figure's parts, or those that are declared."""
@@ -212,6 +219,8 @@ class Declared(Task):
         texts = {f"success.{name}": measure_of(f"success.{name}", each) for name, each in success.items()}
         measures = Expressions(texts, **{**self._known, "variables": names})
         self._success = Success(success, measures, self.frames(hold) + 1, hold)
+        errors = np.zeros(len(self._goals))
+        self._success.check_at(np.append(np.full(len(names) - len(errors), np.nan), errors))
 
     @property
     def input_bounds(self) -> tuple[Array, Array]:
