@@ -105,6 +105,7 @@ def _share_view(all_axes: Sequence[Axes], bounds: Array) -> None:
     low = np.where(low < -NEAR * bounds, np.minimum(low, -bounds), low) - margin
     high = np.where(high > NEAR * bounds, np.maximum(high, bounds), high) + margin
     for axes in all_axes:
+        axes.locator_params("x", nbins=5)
         for edges in ((low[0], -bounds[0]), (bounds[0], high[0])):
             if edges[0] < edges[1]:
                 axes.axvspan(*edges, color=BEYOND, linewidth=0.0, zorder=0)
