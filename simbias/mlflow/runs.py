@@ -6,16 +6,28 @@ import logging
 import shlex
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from simbias.core.cache import cache_folder
 from simbias.core.commands import python
+from simbias.core.digest import short_digest
 from simbias.core.errors import ConfigError
 from simbias.core.messages import redact
 from simbias.mlflow import pages
-from simbias.mlflow.store import connect, database, file_number, is_server, reaching, trials_beside
+from simbias.mlflow.store import (
+    MAKING_SECONDS,
+    connect,
+    database,
+    file_number,
+    is_server,
+    reaching,
+    trials_beside,
+)
 from simbias.mlflow.writes import Files, Point, flush, size
 from simbias.sweep.tracking import Export
+from simbias.trial.disk import locked
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
@@ -114,10 +126,16 @@ class Runs:
                 logging.getLogger(__name__).warning(AWAY, error, self._trials, self.export_command)
             self.away = True
 
-    def find(self, identity: str) -> list[Run]:
-        """The runs of this hash that are in no sweep; those that somebody deleted are not found."""
+    def find(self, identity: str, parent: str = "") -> list[Run]:
+        """The runs of this hash in a parent, or in no sweep; those that somebody deleted are not found."""
         found = self._search(f"tags.hash = '{identity}'")
-        return [run for run in found if pages.PARENT not in run.data.tags]
+        return [run for run in found if run.data.tags.get(pages.PARENT, "") == parent]
+
+    def making(self) -> AbstractContextManager[None]:
+        """While a run is looked up and made if need be, no other process of this machine makes one here."""
+        taken = ConfigError("tracking.uri", f"another process has been making a run for {MAKING_SECONDS:g} s")
+        store = short_digest(f"{database(self.uri) or self.uri} {self._experiment}".encode())
+        return locked(cache_folder("stores") / f"{store}.lock", MAKING_SECONDS, taken)
 
     def nested(self, parent: str) -> dict[str, list[Run]]:
         """The runs of a sweep's trials by their hash, newest first."""

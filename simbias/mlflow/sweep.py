@@ -85,8 +85,9 @@ class SweepRun(RunExport):
             return run
         self._uploaded, self._exports, self._done = None, {}, set()
         tags = {**origin_tags(about), "hash": about["hash"], "sweep": about["name"]}
-        found = runs.find(about["hash"])
-        run = found[-1] if found else runs.create(f"sweep {about['name']}", tags)
+        with runs.making():
+            found = runs.find(about["hash"])
+            run = found[-1] if found else runs.create(f"sweep {about['name']}", tags)
         self._known = runs.nested(run.info.run_id) if found else {}
         for identity, trial in about["trials"].items():
             for each in self._known.get(identity, ()):

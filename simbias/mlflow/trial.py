@@ -78,15 +78,17 @@ class TrialExport(RunExport):
         So has a trial of which an experiment was withdrawn, as MLflow forgets no number; the run before it
         says so.
         """
-        runs, nested = self.runs, self._nested
-        found = nested.known if nested else runs.find(description["hash"])
-        for run in found:
-            if run.info.start_time == courses[-1]:
-                return run
-        tags = {**origin_tags(description), "hash": description["hash"]}
+        runs, nested, identity = self.runs, self._nested, description["hash"]
+        if nested and (run := _begun(nested.known, courses[-1])):
+            return run
+        tags = {**origin_tags(description), "hash": identity}
         if nested:
             tags |= {PARENT: nested.parent, **nested.tags}
-        new = runs.create(nested.name if nested else notes.run_name(description), tags, courses[-1])
+        with runs.making():
+            found = runs.find(identity, nested.parent if nested else "")
+            if run := _begun(found, courses[-1]):
+                return run
+            new = runs.create(nested.name if nested else notes.run_name(description), tags, courses[-1])
         for run in found:
             if run.info.start_time in courses:
                 page = run_page(runs.experiment_id, new.info.run_id)
@@ -94,6 +96,11 @@ class TrialExport(RunExport):
                 runs.client.set_tag(run.info.run_id, NOTE, note)
                 runs.client.set_tag(run.info.run_id, "outcome", "superseded")
         return new
+
+
+def _begun(runs: Sequence[Run], time: int) -> Run | None:
+    """The run that began at a time in ms since the epoch."""
+    return next((run for run in runs if run.info.start_time == time), None)
 
 
 def artifact(file: Path) -> str:

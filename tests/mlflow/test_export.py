@@ -4,6 +4,7 @@ import multiprocessing
 import os
 import shutil
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -25,6 +26,7 @@ from simbias.config import ConfigError
 from simbias.core import Hardware, HardwareError
 from simbias.core.records import Iteration
 from simbias.mlflow.pages import NOTE
+from simbias.mlflow.runs import Runs
 from simbias.mlflow.tracking import Mlflow
 from simbias.trial.folder import TRIAL, TrialFolder, withdraw
 from simbias.trial.observer import Observer, Observers
@@ -209,6 +211,22 @@ def test_a_trial_goes_on_in_a_new_run_after_a_withdrawal(folder: Path) -> None:
     run_trial(study(0), trial.path)
     export_all(folder)
     assert len(found_runs(client)) == 6
+
+
+def test_exports_at_once_make_one_run_of_a_trial(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both look for it before either makes it."""
+    find = Runs.find
+
+    def slowly(*arguments: Any) -> list[Run]:
+        found = find(*arguments)
+        time.sleep(0.2)
+        return found
+
+    monkeypatch.setattr(Runs, "find", slowly)
+    exports = [Mlflow(uri(folder), trials=str(folder / "trials")).export_trial(at(folder)) for _ in "ab"]
+    with ThreadPoolExecutor(2) as threads:
+        list(threads.map(lambda each: each.update(), exports))
+    assert len(found_runs(MlflowClient(uri(folder)))) == 1
 
 
 def test_a_trial_is_shown_while_it_runs(folder: Path) -> None:
