@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from simbias.config.copies import Copies
 from simbias.config.renamed import unknown
-from simbias.config.resources import register_sweep, resource_folder
+from simbias.config.resources import forget_sweeps, register_sweep, resource_folder
 from simbias.core.errors import ConfigError, reason
 
 if TYPE_CHECKING:
@@ -45,8 +45,11 @@ def composed(overrides: Sequence[str], config_dir: str | None, grid: bool, files
     values = {each.key_or_group: each.value() for each in given}  # the last of each
     if isinstance(sweep := values.get("sweep"), str):
         register_sweep(sweep, config_dir, grid)
-    with hydra.initialize_config_dir(str(resource_folder("conf")), version_base="1.3"):
-        config = _by_hydra(_opened(given))
+    try:
+        with hydra.initialize_config_dir(str(resource_folder("conf")), version_base="1.3"):
+            config = _by_hydra(_opened(given))
+    finally:
+        forget_sweeps()
     runtime: dict[str, str] = dict(config.hydra.runtime.choices)
     choices = {group: option for group, option in runtime.items() if not group.startswith("hydra/")}
     if isinstance(presets := values.get("preset"), list):  # of which Hydra does not tell

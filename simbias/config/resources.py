@@ -94,6 +94,13 @@ def register_sweep(
             register_sweep(other, config_dir, grid, known | {name})
 
 
+def forget_sweeps() -> None:
+    """Leave no sweep among Hydra's options, all of which it copies for each composition."""
+    from hydra.core.config_store import ConfigStore
+
+    ConfigStore.instance().repo.pop("sweep", None)
+
+
 @lru_cache(maxsize=100)
 def _loaded(file: Path, time: int, size: int) -> Any:
     """The content of a YAML file in plain containers; it is read again once its time or size changes."""

@@ -119,7 +119,7 @@ def run_sweep(
 ) -> tuple[DataFrame, str]:
     """Run the trials that have not ended, and make the figures; `again` is the command that resumes.
 
-    Figures are made once no trial waits for the result of an experiment.
+    Figures are made once no trial waits for the result of an experiment, unless all raised an error.
 
     Returns the trials, as `simbias.sweep.results` describes them, and how a person looks at them.
 
@@ -148,7 +148,7 @@ def run_sweep(
                             observer.ended(trial, result)
                 finally:
                     observer.all_ended()
-                if not state.waits:
+                if state.draws:
                     make_figures(sweep, trials_engine, state, observer, interruption)
         except BaseException as error:
             state.close(error)

@@ -101,6 +101,12 @@ class SweepState:
         """Whether, now that none runs any more, a trial waits for the result of an experiment."""
         return len(self._rows) < len(self._sweep.trials)
 
+    @property
+    def draws(self) -> bool:
+        """Whether figures are made: no trial waits for a result, and not all raised an error."""
+        raised = (row["outcome"] == Outcome.ERROR for row in self._rows.values())
+        return not self.waits and not all(raised)
+
     def plan(self, trial: Trial, shares_disk: bool) -> Plan:
         """A trial as a worker needs it."""
         folder = self._store.trial_folder(trial.hash)

@@ -93,6 +93,8 @@ def _mean(values: Sequence[float]) -> float:
 def layout(table: pd.DataFrame, sweep: Sweep) -> Layout:
     """The cells as text."""
     rows = dict(zip((cell.labels for cell in sweep.cells), table.to_dict("records"), strict=True))
+    for row in rows.values():
+        row["open"] = sweep.repetitions - row["trials"] - row["raised"]
     measures = sweep.report.measures
     return arrange(sweep, measures, lambda labels: [TEXTS[name](rows[labels]) for name in measures])
 
@@ -157,9 +159,9 @@ def share(k: int, n: int) -> str:
 
 
 def _succeeded(row: Mapping[Any, Any]) -> str:
-    """The share of trials that succeeded, and the number of those that raised an error."""
-    text = share(row["succeeded"], row["trials"])
-    return f"{text}, {row['raised']} raised" if row["raised"] else text
+    """The share of trials that succeeded, and the numbers of those that raised an error or have not ended."""
+    others = (f", {row[each]} {each}" for each in ("raised", "open") if row.get(each))
+    return share(row["succeeded"], row["trials"]) + "".join(others)
 
 
 # Of a cell, by what `sweep.report.measures` names.

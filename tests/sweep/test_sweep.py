@@ -35,6 +35,7 @@ from simbias.__main__ import main
 from simbias.config import ConfigError
 from simbias.engine.contract import EngineLostError
 from simbias.engine.sequential import Sequential
+from simbias.sweep import results, tables
 from simbias.sweep.folder import SweepFolder
 from simbias.sweep.grid import Trial, expand
 from simbias.sweep.running import SweepObserver
@@ -236,6 +237,24 @@ def test_an_engine_that_is_lost_is_one_line_and_the_command_that_resumes(
     said = capsys.readouterr().err.splitlines()
     assert said[0] == "simbias: the scheduler is gone; 1 of 4 trials are done."
     assert said[1].startswith("Resume with:  ")
+
+
+def test_trials_that_all_raise_are_told_in_a_table(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """No figure can be drawn; a sweep that stopped amid its trials says how many are open."""
+    raising = [
+        "+sweep={trials: 2, axes: {bias: [none, gp]}}",
+        "hardware=process",
+        "hardware.command=/bin/false",
+    ]
+    command = [*raising, *QUICK, *FOLDERS, "engine=sequential"]
+    assert main(command) == 1
+    out = capsys.readouterr()
+    assert f"{tables.BLANK}, 2 raised" in out.out
+    assert "4 trials raised an error; the same command resumes" in out.out + out.err
+    assert state(folder)["verdict"] == "**Ended**, some trials with an error"
+    sweep = expand(command)
+    none = tables.cells(results.of_folders(sweep, folder / "nowhere", print), sweep)
+    assert [row[-1] for row in tables.layout(none, sweep).body] == [f"{tables.BLANK}, 2 open"] * 2
 
 
 def test_bad_input_runs_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
