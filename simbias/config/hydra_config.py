@@ -43,9 +43,9 @@ def composed(overrides: Sequence[str], config_dir: str | None, grid: bool, files
         overrides = [*overrides, f"hydra.searchpath=[{_quoted(f'{option_files.SCHEME}://{config_dir}')}]"]
     given = parsed(overrides)
     values = {each.key_or_group: each.value() for each in given}  # the last of each
-    if isinstance(sweep := values.get("sweep"), str):
-        register_sweep(sweep, config_dir, grid)
     try:
+        if isinstance(sweep := values.get("sweep"), str):
+            register_sweep(sweep, config_dir, grid)
         with hydra.initialize_config_dir(str(resource_folder("conf")), version_base="1.3"):
             config = _by_hydra(_opened(given))
     finally:

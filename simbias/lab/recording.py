@@ -204,13 +204,11 @@ class Reader:
         """Notes on recorded rates that agree clearly better with how their values changed before."""
         frame, names, notes = self._task.time_step, [state.name for state in self._task.states], []
         latest = _frames(LATEST, frame)
-        long = [piece.states for piece in pieces if len(piece.states) > latest + _frames(SLOWEST, frame)]
+        recorded = [piece.states for piece in pieces]
         for i, position in measured_rates.items():
-            errors = np.zeros(latest + 1)  # by frames that the rate is late
-            for late in range(latest + 1) if long else ():
-                alike = [states[: len(states) - latest + late] for states in long]  # as many changes
-                moved, told = _changes(alike, i, position, frame, late)
-                errors[late] = np.sum((told - moved) ** 2)
+            changes = _changes(recorded, i, position, frame)
+            delayed = (_delayed(changes, late, latest) for late in range(latest + 1))
+            errors = [float(np.sum((told - moved) ** 2)) for moved, told in delayed]
             late = int(np.argmin(errors))
             if errors[late] < CLEARLY * errors[0]:
                 follows = f"{names[i]} follows {names[position]} by {1e3 * late * frame:.3g} ms"
@@ -258,7 +256,8 @@ def check_rates(source: str, pieces: Sequence[Rollout], task: Task, rates: Mappi
     names, noise = [state.name for state in task.states], noise_of(pieces)
     recorded = [piece.states for piece in pieces]
     for i, position in rates.items():
-        moved, told = _changes(recorded, i, position, task.time_step)
+        changes = _changes(recorded, i, position, task.time_step)
+        moved, told = _delayed(changes, 0, 0)
         if abs(_agreement(moved, told)) >= CORRELATED:
             ratio = float(told @ moved) / float(told @ told)
             if not 1 / TWICE < ratio < TWICE:
@@ -272,22 +271,26 @@ def check_rates(source: str, pieces: Sequence[Rollout], task: Task, rates: Mappi
             and _is_clear(told / SLOWEST, noise[i])
         ):
             lags = range(_frames(LATEST, task.time_step) + 1)
-            late = (_changes(recorded, i, position, task.time_step, frames) for frames in lags)
-            if max(_agreement(*each) for each in late) < UNRELATED:
+            if max(_agreement(*_delayed(changes, late, late)) for late in lags) < UNRELATED:
                 raise HardwareError(
                     f"{source}: {names[position]} does not change as {names[i]} says: is it another column?"
                 )
 
 
-def _changes(
-    pieces: Sequence[Array], rate: int, position: int, frame: float, late: int = 0
-) -> tuple[Array, Array]:
-    """Changes (m,) of a state over a while, and those that its rate, some frames late, tells (trapezoids)."""
+def _changes(pieces: Sequence[Array], rate: int, position: int, frame: float) -> list[tuple[Array, Array]]:
+    """Of each piece, changes (m,) of a state over a while, and those that its rate tells, by trapezoids."""
     k = _frames(SLOWEST, frame)
     sums = [frame * (np.cumsum(states[:, rate]) - states[:, rate] / 2) for states in pieces]
-    told = [total[late + k :] - total[late : len(total) - k] for total in sums]
     moved = [states[k:, position] - states[:-k, position] for states in pieces]
-    return np.concatenate([m[: len(t)] for m, t in zip(moved, told, strict=True)]), np.concatenate(told)
+    return list(zip(moved, (total[k:] - total[:-k] for total in sums), strict=True))
+
+
+def _delayed(changes: Sequence[tuple[Array, Array]], late: int, latest: int) -> tuple[Array, Array]:
+    """All changes, and those told some frames later; as many as there are at the latest delay."""
+    counts = [max(len(moved) - latest, 0) for moved, _ in changes]
+    moved = [each[:count] for (each, _), count in zip(changes, counts, strict=True)]
+    told = [each[late : late + count] for (_, each), count in zip(changes, counts, strict=True)]
+    return np.concatenate(moved), np.concatenate(told)
 
 
 def _agreement(moved: Array, told: Array) -> float:

@@ -213,11 +213,13 @@ def test_a_velocity_that_lacks_is_estimated_and_said_so(
 
 
 def test_a_late_velocity_is_told(study: Study, rollout: Rollout, tmp_path: Path) -> None:
-    """By five frames of 2 ms; noise of a tenth alone is not."""
+    """By five frames of 2 ms; noise of a tenth alone is not, and a piece of 30 ms tells nothing."""
     table, rng = frame(rollout), np.random.default_rng(0)
     for name in "vel1", "vel2":
         table[name] += 0.1 * table[name].std() * rng.standard_normal(len(table))
     assert read(study, table, tmp_path).notes == ()
+    short = read(study, table.drop(index=[*range(200, 300), *range(316, 400)]), tmp_path)
+    assert short.notes == ("gaps or resets leave 3 pieces: 0.40 s, 0.03 s, 1.20 s",)
     late = read(study, table.assign(vel2=table["vel2"].shift(5)), tmp_path)
     assert late.notes == ("vel2 follows pos2 by 10 ms; without its column, it is estimated",)
 

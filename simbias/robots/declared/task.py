@@ -162,12 +162,9 @@ class Declared(Task):
         for criterion, measure in zip(self.criteria, self.measure(x) if self.targets else (), strict=False):
             if np.isnan(measure):
                 raise ValueError(f"failure.{criterion.name}: a robot's failure cannot depend on targets")
-
         for key, start in self._starts.means.items():
-            measures = self.measure(start) if self.criteria else ()
-            for criterion, measure in zip(self.criteria, measures, strict=False):
-                if not measure <= criterion.limit:
-                    raise ValueError(f"{key}: the task fails at its start: {criterion.name}")
+            if failure_there := self.failure(start):
+                raise ValueError(f"{key}: the task fails at its start: {failure_there}")
 
     def _set_drawing(self, drawing: dict[str, Part]) -> None:
         """Set what is drawn: a figure's parts, or those that are declared."""
