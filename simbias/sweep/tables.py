@@ -94,7 +94,7 @@ def layout(table: pd.DataFrame, sweep: Sweep) -> Layout:
     """The cells as text."""
     rows = dict(zip((cell.labels for cell in sweep.cells), table.to_dict("records"), strict=True))
     for row in rows.values():
-        row["open"] = sweep.repetitions - row["trials"] - row["raised"]
+        row["unfinished"] = sweep.repetitions - row["trials"] - row["raised"]
     measures = sweep.report.measures
     return arrange(sweep, measures, lambda labels: [TEXTS[name](rows[labels]) for name in measures])
 
@@ -160,7 +160,7 @@ def share(k: int, n: int) -> str:
 
 def _succeeded(row: Mapping[Any, Any]) -> str:
     """The share of trials that succeeded, and the numbers of those that raised an error or have not ended."""
-    others = (f", {row[each]} {each}" for each in ("raised", "open") if row.get(each))
+    others = (f", {row[each]} {each}" for each in ("raised", "unfinished") if row.get(each))
     return share(row["succeeded"], row["trials"]) + "".join(others)
 
 

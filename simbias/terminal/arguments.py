@@ -151,7 +151,7 @@ def _add_of_recordings(commands: Any, own: argparse.ArgumentParser) -> None:
 def _add_of_folders(commands: Any, own: argparse.ArgumentParser) -> None:
     """The commands that read, change or make a folder."""
     pictures = _add(commands, "pictures", "draw all pictures of a trial", parents=[own])
-    of_policy = "It has no time limit: a trial's experiments end at the task's horizon, and it goes on."
+    of_policy = "It does not stop at the task's horizon, where an experiment ends."
     controller = _add(
         commands, "controller", "write a trial's last policy in C and in Python", of_policy, parents=[own]
     )

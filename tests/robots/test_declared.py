@@ -289,7 +289,10 @@ def test_what_cannot_be_meant_is_refused() -> None:
         ({"starts": [[0.0]]}, "each has to have 4 numbers"),
         ({"starts": [[0.0] * 4, [3.0, 0, 0, 0]]}, "starts.1: the task fails at its start: leaves"),
         ({"targets": {"aim": {"unit": "m", "uniform": [1, 0]}}}, "targets.aim: uniform is"),
-        ({"failure": {False: {"value": "angle", "above": 1}}}, "^task.failure: False is no name; in quotes"),
+        (
+            {"failure": {False: {"value": "angle", "above": 1}}},
+            "^task.failure: False is not a name; put it in quotes",
+        ),
         ({"pushes": {"torque": PULSES}}, "pushes: no input is called torque; there is force"),
         ({"pushes": {"force": PULSES | {"amplitude": [-1, 1]}}}, r"expected 0 <= least <= most, got \[-1, 1"),
         ({"reference": "none.csv"}, "reference 'none.csv': .*No such file"),

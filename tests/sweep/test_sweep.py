@@ -240,7 +240,7 @@ def test_an_engine_that_is_lost_is_one_line_and_the_command_that_resumes(
 
 
 def test_trials_that_all_raise_are_told_in_a_table(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """No figure can be drawn; a sweep that stopped amid its trials says how many are open."""
+    """No figure can be drawn; a sweep that stopped amid its trials says how many are unfinished."""
     raising = [
         "+sweep={trials: 2, axes: {bias: [none, gp]}}",
         "hardware=process",
@@ -254,7 +254,7 @@ def test_trials_that_all_raise_are_told_in_a_table(folder: Path, capsys: pytest.
     assert state(folder)["verdict"] == "**Ended**, some trials with an error"
     sweep = expand(command)
     none = tables.cells(results.of_folders(sweep, folder / "nowhere", print), sweep)
-    assert [row[-1] for row in tables.layout(none, sweep).body] == [f"{tables.BLANK}, 2 open"] * 2
+    assert [row[-1] for row in tables.layout(none, sweep).body] == [f"{tables.BLANK}, 2 unfinished"] * 2
 
 
 def test_bad_input_runs_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
