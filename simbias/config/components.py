@@ -199,7 +199,9 @@ def _in_one_line(error: ValidationError, key: str, known: Collection[str]) -> Co
     if first["type"] == "missing":
         return ConfigError(where, "missing")
     if first["loc"][-1] == "[key]" and not isinstance(first["input"], str):
-        problem = f"{first['input']} is not a name; put it in quotes, as 'on' and 'off', which YAML reads as true and false"
+        problem = (
+            f"{first['input']} is not a name; put it in quotes (YAML reads on and off as true and false)"
+        )
         return ConfigError(_path(key, {"loc": first["loc"][:-2]}), problem)
     problem = re.sub("^(Value error, |Input |List )", "", first["msg"]).replace("should", "must", 1)
     return ConfigError(where, f"{problem}, got {quote(first['input'])}")

@@ -45,7 +45,7 @@ CODE = (
 )
 NO_CODE = (
     "This policy cannot be written out as code ({why}). Its parameters are in "
-    f"{POLICY}. It runs in Python only: in place of hardware=manual, a hardware class of your own is passed it."
+    f"{POLICY}. It runs in Python only, by a hardware class of your own in place of hardware=manual."
 )
 
 
