@@ -16,13 +16,14 @@ from simbias.learning.identification.directions import Direction, undetermined
 from simbias.learning.identification.identified import Identified
 from simbias.learning.identification.posterior import Posterior
 from simbias.recordings.findings import Finding, findings
-from simbias.recordings.horizons import Prediction, overall, predictions
+from simbias.recordings.horizons import Prediction, if_reversed, overall, predictions
 from simbias.recordings.parts import Part, others, parts
 from simbias.recordings.reach import Reach, beyond
 from simbias.trial.study import Study
 
 OTHER_WINDOWS = (0.5, 2.0)  # durations of predictions, over the chosen one
 LONGEST = max(OTHER_WINDOWS)  # that each part has to hold
+REVERSED = 0.9  # times the nominal model's errors, below which an input's sign seems to be reversed
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +39,7 @@ class Assessment:
     models: Sequence[Identified]  # (parts, then held out) that were not fitted to the part
     findings: Sequence[Finding]
     predictions: Sequence[Prediction]
+    reversed: Mapping[str, float]  # errors of the nominal model with an input's sign reversed, if far smaller
 
     @property
     def judged(self) -> list[Part]:
@@ -161,7 +163,23 @@ def assess(
         models,
         findings(identified, alone, by_window),
         predictions(study.task, study.nominal, models, [part.rollouts for part in judged], learned),
+        reversed_inputs(study, everything.rollouts),
     )
+
+
+def reversed_inputs(study: Study, rollouts: Sequence[Rollout]) -> dict[str, float]:
+    """Inputs whose recorded signs seem to be the model's reversed; errors with the others over those before.
+
+    The one that matters most is the first, and stays reversed: a sign is wrong beside those of the others.
+    """
+    inputs, found, last = [each.name for each in study.task.inputs], dict[str, float](), 1.0
+    while left := [each for each in inputs if each not in found]:
+        tried = {each: if_reversed(study.task, study.nominal, rollouts, [*found, each]) for each in left}
+        best = min(tried, key=lambda name: tried[name])
+        if tried[best] >= REVERSED * last:
+            break
+        found[best], last = tried[best] / last, tried[best]
+    return found
 
 
 def _check_length(posterior: Posterior, all_parts: Sequence[Part]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -132,7 +132,26 @@ def predictions(
             noises,
         )
 
-    return [ahead(k) for k in sorted({task.frames(seconds) for seconds in HORIZONS}) if k <= longest]
+    return [ahead(k) for k in horizons(task, longest)]
+
+
+def horizons(task: Task, longest: int) -> list[int]:
+    """The horizons that are told, in frames, as far as the longest rollout lasts."""
+    return [k for k in sorted({task.frames(seconds) for seconds in HORIZONS}) if k <= longest]
+
+
+def if_reversed(task: Task, nominal: Nominal, rollouts: Sequence[Rollout], names: Sequence[str]) -> float:
+    """Errors of a model with the signs of some inputs reversed, over those with inputs as recorded.
+
+    The geometric mean over states and horizons.
+    """
+    signs = np.array([-1.0 if each.name in names else 1.0 for each in task.inputs])
+    other = [replace(rollout, inputs=signs * rollout.inputs) for rollout in rollouts]
+    ratios = [
+        ratio(errors(nominal, other, k), errors(nominal, rollouts, k))
+        for k in horizons(task, max(rollout.frames for rollout in rollouts))
+    ]
+    return geometric_mean(np.array(ratios))
 
 
 def _known(learned: Sequence[tuple[Nominal, Sequence[Rollout]]], frames: int) -> Known:

@@ -38,11 +38,11 @@ def verdict(assessment: Assessment) -> str:
         ahead = f" It errs more after {', '.join(worse)} s." if worse else ""
         return (
             f"On {what}, the identified model errs {assessment.ratio:.2f} times as much as "
-            f"the nominal one{each}, {MEAN}.{ahead}{none}{_lacking(assessment)}"
+            f"the nominal one{each}, {MEAN}.{ahead}{none}{_lacking(assessment)}{_reversed(assessment)}"
         )
     return (
         f"The identified model is no better than the nominal one on {what}: it errs "
-        f"{assessment.ratio:.2f} times as much{each}, {MEAN}. Do not use it."
+        f"{assessment.ratio:.2f} times as much{each}, {MEAN}. Do not use it.{_reversed(assessment)}"
     )
 
 
@@ -56,6 +56,15 @@ def _lacking(assessment: Assessment) -> str:
     return (
         f" Errors after {seconds:g} s are {times:.1f} times what measurement noise and intervals explain: "
         "the model lacks something, and its values are those that predict best, which may not be the robot's."
+    )
+
+
+def _reversed(assessment: Assessment) -> str:
+    """A sentence for each input whose recorded sign seems to be the model's reversed; else ""."""
+    return "".join(
+        f" With the sign of {name} reversed, the nominal model errs {times:.2f} times as much: "
+        "check which sign was recorded."
+        for name, times in assessment.reversed.items()
     )
 
 

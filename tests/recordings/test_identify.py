@@ -22,7 +22,7 @@ from simbias.learning.identification.identified import Identified, Known
 from simbias.learning.identification.posterior import Posterior
 from simbias.learning.identification.rig import Rig, Sensor
 from simbias.recordings import horizons, plots
-from simbias.recordings.assessment import Assessment, assess, prepared
+from simbias.recordings.assessment import Assessment, assess, prepared, reversed_inputs
 from simbias.recordings.excitation import Excitation
 from simbias.recordings.files import check_replaces_nothing, draws, head, models, option_lines, write
 from simbias.recordings.findings import findings
@@ -102,6 +102,22 @@ def test_errors_that_noise_and_uncertainty_do_not_explain_are_told(assessment: A
     told = verdict(replace(assessment, predictions=larger))
     assert re.search(
         r" Errors after \S+ s are [34]\.\d times what measurement noise and intervals explain: ", told
+    )
+
+
+def test_an_input_whose_sign_is_the_other_way_is_named(assessment: Assessment, study: Study) -> None:
+    """Here the elbow's; with the signs of the model nothing is said."""
+    assert not assessment.reversed
+    elbow = np.array([1.0, -1.0])
+    rollouts = [
+        replace(each, inputs=elbow * each.inputs) for part in assessment.parts for each in part.rollouts
+    ]
+    ((name, times),) = reversed_inputs(study, rollouts).items()
+    assert name == study.task.inputs[1].name
+    told = verdict(replace(assessment, reversed={name: times}))
+    assert told.endswith(
+        f" With the sign of {name} reversed, the nominal model errs {times:.2f} times as much: "
+        "check which sign was recorded."
     )
 
 
