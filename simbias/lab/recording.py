@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,10 +11,10 @@ import numpy as np
 from simbias.core import HardwareError, Task
 from simbias.core.messages import quote, words
 from simbias.core.records import Array, Rollout
-from simbias.core.robot import TURNS
+from simbias.core.robot import TURNS, Quantity
+from simbias.lab.rates import check_rates, late_rates, rates_of
 from simbias.lab.signals import Signal, Signals, signals, split_name
 from simbias.lab.units import factor
-from simbias.learning.noise import noise_of
 
 MOST_TURNS = 1.5  # from one sample of a wrapped angle to the next
 GAP = 5.0  # usual intervals between samples: what is longer is a gap
@@ -22,14 +22,9 @@ FEWEST_FRAMES = 2  # of a gap
 RAREST = 20.0  # frames from one sample to the next of what is measured most often: a time in other units,
 RAREST_OF_UNIT = 1000.0  # where its unit is named
 SMOOTH = 0.02  # s, over which a velocity is estimated from positions
-SLOWEST = 0.05  # s over which positions and velocities are compared
-LATEST, CLEARLY = 0.1, 0.5  # s that a rate may be late; its share of squared differences then, at most
-TWICE = 2.0  # how much positions may differ from the integrals of velocities, and inputs exceed their limit
+TWICE = 2.0  # how much inputs may exceed their limit
 MOSTLY = 0.99  # of the frames: peaks of a sensor's noise exceed more
 TOLERANCE = 1.05  # times an input's limit, up to which nothing is said
-CORRELATED = 0.8  # below, velocities say too little for their size to be compared
-UNRELATED, CLEAR = 0.3, 4.0  # below, however late: others, if both change by so many times their noise
-LASTING = 0.5  # s of changes, which tell that
 NEAR = 0.01  # of a frame from its start: a sample that is nearer belongs to it
 
 
@@ -77,7 +72,7 @@ class Reader:
         measured_rates = {i: position for i, position in self._rates.items() if i in found}
         check_rates(str(path), pieces, self._task, measured_rates)
         notes += [
-            *self._late(measured_rates, pieces),
+            *late_rates(pieces, self._task, measured_rates),
             *self._beyond_limits(path, pieces),
             *self._still(pieces),
         ]
@@ -113,22 +108,24 @@ class Reader:
                     f"{file.path}: column {name}: expected two samples at least, got {len(times)}"
                 )
             values = signal.values[first] * scale
-            if (turn := TURNS.get(quantity.unit)) and i < len(self._task.states):
-                jumps = np.flatnonzero(np.abs(np.diff(values)) > MOST_TURNS * turn)
-                if len(jumps):
-                    first, then = times[jumps[0] : jumps[0] + 2]
-                    jump = f"{values[jumps[0] + 1] - values[jumps[0]]:.3g} {quantity.unit}"
-                    raise HardwareError(
-                        f"{file.path}: column {name} jumps by {jump} from {first:.6g} s to {then:.6g} s, "
-                        f"more than a turn"
-                    )
-                unwound = np.unwrap(values, period=turn)
-                if not np.array_equal(unwound, values):
-                    notes.append(f"{quantity.name} was wrapped")
-                values = unwound
+            if i < len(self._task.states) and quantity.unit in TURNS:
+                values = self._unwound(f"{file.path}: column {name}", quantity, times, values, notes)
             found[i] = Signal(times, values)
         self._check_period(file, found, bool(time_unit or file.unit(time)))
         return found
+
+    @staticmethod
+    def _unwound(column: str, angle: Quantity, times: Array, values: Array, notes: list[str]) -> Array:
+        """The angle's values (k,) without jumps of a turn; larger ones are refused."""
+        turn, steps = TURNS[angle.unit], np.diff(values)
+        if len(jumps := np.flatnonzero(np.abs(steps) > MOST_TURNS * turn)):
+            first, then = times[jumps[0] : jumps[0] + 2]
+            jump = f"{steps[jumps[0]]:.3g} {angle.unit} from {first:.6g} s to {then:.6g} s"
+            raise HardwareError(f"{column} jumps by {jump}, more than a turn")
+        unwound: Array = np.unwrap(values, period=turn)
+        if not np.array_equal(unwound, values):
+            notes.append(f"{angle.name} was wrapped")
+        return unwound
 
     def _named(self, file: Signals, quantity: str) -> tuple[str, str]:
         """The name of a quantity's column, and the unit behind it that is not of the file's own name."""
@@ -200,21 +197,6 @@ class Reader:
         rate: Array = savgol_filter(values, width, 2, deriv=1, delta=self._task.time_step)
         return rate
 
-    def _late(self, measured_rates: Mapping[int, int], pieces: list[Rollout]) -> list[str]:
-        """Notes on recorded rates that agree clearly better with how their values changed before."""
-        frame, names, notes = self._task.time_step, [state.name for state in self._task.states], []
-        latest = _frames(LATEST, frame)
-        recorded = [piece.states for piece in pieces]
-        for i, position in measured_rates.items():
-            changes = _changes(recorded, i, position, frame)
-            delayed = (_delayed(changes, late, latest) for late in range(latest + 1))
-            errors = [float(np.sum((told - moved) ** 2)) for moved, told in delayed]
-            late = int(np.argmin(errors))
-            if errors[late] < CLEARLY * errors[0]:
-                follows = f"{names[i]} follows {names[position]} by {1e3 * late * frame:.3g} ms"
-                notes.append(f"{follows}; without its column, it is estimated")
-        return notes
-
     def _beyond_limits(self, path: Path, pieces: list[Rollout]) -> list[str]:
         """Notes on inputs beyond their limits; those far beyond are refused."""
         inputs, notes = np.abs(np.concatenate([piece.inputs for piece in pieces])), []
@@ -240,73 +222,6 @@ class Reader:
                 if len(values) and np.ptp(values[:, i]) == 0:
                     notes.append(f"{quantity.name} never changes, so nothing is learned of what it moves")
         return notes
-
-
-def rates_of(task: Task) -> dict[int, int]:
-    """Of each state that is another's rate, by its place and unit: that one."""
-    units, half = [state.unit for state in task.states], len(task.states) // 2
-    return {i: i - half for i in range(half, len(units)) if units[i] == f"{units[i - half]}/s"}
-
-
-def check_rates(source: str, pieces: Sequence[Rollout], task: Task, rates: Mapping[int, int]) -> None:
-    """Refuse rates that are not those of their values: degrees, a time in ms, a wrong column.
-
-    Rates map places of states to those of what they are the rates of.
-    """
-    names, noise = [state.name for state in task.states], noise_of(pieces)
-    recorded = [piece.states for piece in pieces]
-    for i, position in rates.items():
-        changes = _changes(recorded, i, position, task.time_step)
-        moved, told = _delayed(changes, 0, 0)
-        if abs(_agreement(moved, told)) >= CORRELATED:
-            ratio = float(told @ moved) / float(told @ told)
-            if not 1 / TWICE < ratio < TWICE:
-                raise HardwareError(
-                    f"{source}: {names[position]} changes {ratio:.3g} times as fast as {names[i]} says: "
-                    f"is a unit wrong, or a column?"
-                )
-        elif (
-            len(moved) >= LASTING / task.time_step
-            and _is_clear(moved, noise[position])
-            and _is_clear(told / SLOWEST, noise[i])
-        ):
-            lags = range(_frames(LATEST, task.time_step) + 1)
-            if max(_agreement(*_delayed(changes, late, late)) for late in lags) < UNRELATED:
-                raise HardwareError(
-                    f"{source}: {names[position]} does not change as {names[i]} says: is it another column?"
-                )
-
-
-def _changes(pieces: Sequence[Array], rate: int, position: int, frame: float) -> list[tuple[Array, Array]]:
-    """Of each piece, changes (m,) of a state over a while, and those that its rate tells, by trapezoids."""
-    k = _frames(SLOWEST, frame)
-    sums = [frame * (np.cumsum(states[:, rate]) - states[:, rate] / 2) for states in pieces]
-    moved = [states[k:, position] - states[:-k, position] for states in pieces]
-    return list(zip(moved, (total[k:] - total[:-k] for total in sums), strict=True))
-
-
-def _delayed(changes: Sequence[tuple[Array, Array]], late: int, latest: int) -> tuple[Array, Array]:
-    """All changes, and those told some frames later; as many as there are at the latest delay."""
-    counts = [max(len(moved) - latest, 0) for moved, _ in changes]
-    moved = [each[:count] for (each, _), count in zip(changes, counts, strict=True)]
-    told = [each[late : late + count] for (_, each), count in zip(changes, counts, strict=True)]
-    return np.concatenate(moved), np.concatenate(told)
-
-
-def _agreement(moved: Array, told: Array) -> float:
-    """The correlation, about zero, of two series (m,); 0 where one is zero."""
-    size = float(told @ told) * float(moved @ moved)
-    return float(told @ moved) / np.sqrt(size) if size > 0 else 0.0
-
-
-def _is_clear(changes: Array, noise: float) -> bool:
-    """Whether changes (m,) are many times what noise of this deviation makes of them."""
-    return float(np.sqrt(np.mean(changes**2))) > CLEAR * noise
-
-
-def _frames(seconds: float, frame: float) -> int:
-    """The number of frames, one at least, that are nearest to a time in s."""
-    return max(1, round(seconds / frame))
 
 
 def _factor(file: Signals, name: str, unit: str, wanted: str) -> float:

@@ -1,0 +1,101 @@
+"""States that are the rates of others: whether recorded ones agree with how their values change."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from simbias.core import HardwareError, Task
+from simbias.core.records import Array, Rollout
+from simbias.learning.noise import noise_of
+
+SLOWEST = 0.05  # s over which positions and velocities are compared
+LATEST, CLEARLY = 0.1, 0.5  # s that a rate may be late; its share of squared differences then, at most
+TWICE = 2.0  # how much positions may differ from the integrals of velocities
+CORRELATED = 0.8  # below, velocities say too little for their size to be compared
+UNRELATED, CLEAR = 0.3, 4.0  # below, however late: others, if both change by so many times their noise
+LASTING = 0.5  # s of changes, which tell that
+
+
+def rates_of(task: Task) -> dict[int, int]:
+    """Of each state that is another's rate, by its place and unit: that one."""
+    units, half = [state.unit for state in task.states], len(task.states) // 2
+    return {i: i - half for i in range(half, len(units)) if units[i] == f"{units[i - half]}/s"}
+
+
+def check_rates(source: str, pieces: Sequence[Rollout], task: Task, rates: Mapping[int, int]) -> None:
+    """Refuse rates that are not those of their values: degrees, a time in ms, a wrong column.
+
+    Rates map places of states to those of what they are the rates of.
+    """
+    names, noise = [state.name for state in task.states], noise_of(pieces)
+    recorded = [piece.states for piece in pieces]
+    for i, position in rates.items():
+        changes = _changes(recorded, i, position, task.time_step)
+        moved, told = _delayed(changes, 0, 0)
+        if abs(_agreement(moved, told)) >= CORRELATED:
+            ratio = float(told @ moved) / float(told @ told)
+            if not 1 / TWICE < ratio < TWICE:
+                raise HardwareError(
+                    f"{source}: {names[position]} changes {ratio:.3g} times as fast as {names[i]} says: "
+                    f"is a unit wrong, or a column?"
+                )
+        elif (
+            len(moved) >= LASTING / task.time_step
+            and _is_clear(moved, noise[position])
+            and _is_clear(told / SLOWEST, noise[i])
+        ):
+            lags = range(_frames(LATEST, task.time_step) + 1)
+            if max(_agreement(*_delayed(changes, late, late)) for late in lags) < UNRELATED:
+                raise HardwareError(
+                    f"{source}: {names[position]} does not change as {names[i]} says: is it another column?"
+                )
+
+
+def late_rates(pieces: Sequence[Rollout], task: Task, rates: Mapping[int, int]) -> list[str]:
+    """Notes on recorded rates that agree clearly better with how their values changed before."""
+    frame, names, notes = task.time_step, [state.name for state in task.states], []
+    latest = _frames(LATEST, frame)
+    recorded = [piece.states for piece in pieces]
+    for i, position in rates.items():
+        changes = _changes(recorded, i, position, frame)
+        delayed = (_delayed(changes, late, latest) for late in range(latest + 1))
+        errors = [float(np.sum((told - moved) ** 2)) for moved, told in delayed]
+        late = int(np.argmin(errors))
+        if errors[late] < CLEARLY * errors[0]:
+            follows = f"{names[i]} follows {names[position]} by {1e3 * late * frame:.3g} ms"
+            notes.append(f"{follows}; without its column, it is estimated")
+    return notes
+
+
+def _changes(pieces: Sequence[Array], rate: int, position: int, frame: float) -> list[tuple[Array, Array]]:
+    """Of each piece, changes (m,) of a state over a while, and those that its rate tells, by trapezoids."""
+    k = _frames(SLOWEST, frame)
+    sums = [frame * (np.cumsum(states[:, rate]) - states[:, rate] / 2) for states in pieces]
+    moved = [states[k:, position] - states[:-k, position] for states in pieces]
+    return list(zip(moved, (total[k:] - total[:-k] for total in sums), strict=True))
+
+
+def _delayed(changes: Sequence[tuple[Array, Array]], late: int, latest: int) -> tuple[Array, Array]:
+    """All changes, and those told some frames later; as many as there are at the latest delay."""
+    counts = [max(len(moved) - latest, 0) for moved, _ in changes]
+    moved = [each[:count] for (each, _), count in zip(changes, counts, strict=True)]
+    told = [each[late : late + count] for (_, each), count in zip(changes, counts, strict=True)]
+    return np.concatenate(moved), np.concatenate(told)
+
+
+def _agreement(moved: Array, told: Array) -> float:
+    """The correlation, about zero, of two series (m,); 0 where one is zero."""
+    size = float(told @ told) * float(moved @ moved)
+    return float(told @ moved) / np.sqrt(size) if size > 0 else 0.0
+
+
+def _is_clear(changes: Array, noise: float) -> bool:
+    """Whether changes (m,) are many times what noise of this deviation makes of them."""
+    return float(np.sqrt(np.mean(changes**2))) > CLEAR * noise
+
+
+def _frames(seconds: float, frame: float) -> int:
+    """The number of frames, one at least, that are nearest to a time in s."""
+    return max(1, round(seconds / frame))
