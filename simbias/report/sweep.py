@@ -51,7 +51,8 @@ def _parts(folder: SweepFolder, description: dict) -> Iterator[str]:
             yield paragraph(words)
             if (numbers := file.with_suffix(".csv")).is_file():
                 frame = pd.read_csv(numbers, dtype=str, keep_default_na=False)
-                yield from _table(list(frame.columns), frame.to_numpy().tolist())
+                told = frame.loc[:, (frame != "").any()]  # not of what no cell has
+                yield from _table(list(told.columns), told.to_numpy().tolist())
     if "table" in (state := folder.state()):
         yield heading("Cells")
         yield paragraph(str(state["legend"]))

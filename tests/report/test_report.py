@@ -7,6 +7,7 @@ from html import escape
 from pathlib import Path
 from shutil import copytree
 
+import numpy as np
 import pytest
 from in_numpy import simulate_in_numpy
 from sweeping import FOLDERS, write_sweep
@@ -132,6 +133,10 @@ def test_the_page_of_a_sweep(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     said = ["2 of 2 trials have ended; of these succeeded", "&lt;script&gt;alert(1)&lt;/script&gt;"]
     said += ["data:image/png;base64,", "preset=cartpole", "<th>succeeded</th>", "/1 ["]
     assert [words for words in said if words not in html] == []
+    columns = np.array(
+        [re.findall("<td>(.*?)</td>", row) for row in re.findall("<tr>(<td>.*)</tr>", html)[:2]]
+    )
+    assert (columns != "").any(axis=0).all()  # none is empty
 
 
 def test_claims_that_a_test_contradicts_are_counted(tmp_path: Path) -> None:
