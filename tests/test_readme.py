@@ -20,12 +20,13 @@ from simbias.core.cache import cache_folder
 
 LARGEST_WHEEL = 1_200_000  # bytes; published pictures alone take twice as much
 README = (ROOT / "README.md").read_text()
+USED = ("simbias/robots", "simbias/recordings", "simbias/lab")  # whose commands are run, too
 PAGES = [
     ROOT / "README.md",
     ROOT / "CONTRIBUTING.md",
     *(
         ROOT / folder / "README.md"
-        for folder in ("conf", "simbias", "simbias/engine", "simbias/robots", "tests", "sweeps/results")
+        for folder in ("conf", "simbias", "simbias/engine", *USED, "tests", "sweeps/results")
     ),
 ]
 SHORT = [
@@ -34,7 +35,7 @@ SHORT = [
     "method.max_iterations=1",
     "tracking.pictures=false",
 ]
-SHOWN = README + (ROOT / "simbias" / "robots" / "README.md").read_text()
+SHOWN = README + "".join((ROOT / folder / "README.md").read_text() for folder in USED)
 COMMANDS = sorted(
     {
         line.partition("  #")[0].strip()
