@@ -203,6 +203,25 @@ def test_code_is_held_against_the_policy_after_an_abort_too(monkeypatch: pytest.
     assert said.startswith("in Python, frame 2 gives abort, u = [0.0, ")
 
 
+class Chaotic(Integral):
+    """A law whose state, where it is pushed hard, multiplies each rounding by ten in every frame."""
+
+    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
+        policy_state = np.sin(theta * x[..., :1] + x[..., :1] ** 2 * policy_state)
+        return policy_state, policy_state
+
+
+@pytest.mark.parametrize(("error", "differs"), [(1e-15, False), (1e-6, True)])
+def test_what_rounding_changes_is_no_difference(error: float, differs: bool) -> None:
+    """Code of a law that a rounding off is taken, and code of another law is not."""
+    task, theta = PointMass(), np.ones(1)
+    bounds = Bounds(task.input_bounds, np.full(1, np.inf), np.full(2, np.inf), False)
+    law = formulas_of(Chaotic(task), task, theta * (1.0 + error))
+    assert not isinstance(law, str)
+    header, module = c_header(task, law, "", bounds), python_module(task, law, "", bounds)
+    assert bool(difference(Chaotic(task), task, theta, bounds, header, module)) == differs
+
+
 def test_a_policy_that_decides_by_values_says_why() -> None:
     task = PointMass()
     request = ExperimentRequest(task, Branching(task), np.zeros(1), task.start_mean)
