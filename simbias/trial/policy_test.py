@@ -93,15 +93,16 @@ class PolicyTestResult:
     def words(self) -> str:
         """The result in one sentence."""
         succeeded = counted_share(self.successes.count("1"), len(self.episodes))
-        does = LASTS if all(each.succeeds is None for each in self.episodes) else "succeeds"
-        said = f"Its last policy {does} in {succeeded} test episodes of {self.horizon:g} s"
-        if not self.long_episodes:
-            return f"{said}."
-        lasted = counted_share(sum(e.failure is None for e in self.long_episodes), len(self.long_episodes))
-        return (
-            f"{said}, and lasts in {lasted} of "
-            f"{self.long_episodes[0].asked_seconds:g} s (they last {self.long_seconds:.0f} s on average)."
-        )
+        lasting, count = all(each.succeeds is None for each in self.episodes), len(self.long_episodes)
+        said = f"Its last policy {LASTS if lasting else 'succeeds'} in {succeeded} test episodes"
+        if not count:
+            return f"{said} of {self.horizon:g} s."
+        lasted = counted_share(sum(each.failure is None for each in self.long_episodes), count)
+        long = f"{self.long_episodes[0].asked_seconds:g} s"
+        of = f" of {self.horizon:g} s"
+        if not lasting:  # success is told at an episode's own end
+            of = f": {len(self.episodes) - count}{of} and {count} of {long}"
+        return f"{said}{of}, and lasts in {lasted} of {long} (they last {self.long_seconds:.0f} s on average)."
 
 
 def run_policy_test(

@@ -99,10 +99,10 @@ def test_its_result_in_numbers_and_words() -> None:
     assert result.successes == "110"
     numbers = (result.success_rate, result.long_success_rate, result.long_seconds)
     assert numbers == pytest.approx((2 / 3, 0.5, 33.5))
-    counts = "in 2 of 3 (21% to 94%) test episodes of 5 s, and lasts in 1 of 2 (9% to 91%) of 60 s ("
-    assert f"Its last policy lasts without a failure {counts}" in result.words
+    counts, lasts = "in 2 of 3 (21% to 94%) test episodes", ", and lasts in 1 of 2 (9% to 91%) of 60 s ("
+    assert f"Its last policy lasts without a failure {counts} of 5 s{lasts}" in result.words
     own = PolicyTestResult(5.0, tuple(each._replace(succeeds=each.seconds > 5) for each in episodes))
-    assert f"Its last policy succeeds {counts}" in own.words
+    assert f"Its last policy succeeds {counts}: 1 of 5 s and 2 of 60 s{lasts}" in own.words
     assert "they last 34 s on average" in result.words
     rows = episodes_csv(result, study().task).splitlines()
     ended = "asked_seconds,lasted_seconds,failure,succeeded"
