@@ -8,7 +8,7 @@ from figures import lines
 
 import simbias
 from simbias.core import Task
-from simbias.core.records import Array, Disturbance
+from simbias.core.records import Array, Disturbance, Rollout
 from simbias.pictures import NoPictureError, following
 from simbias.pictures.elements.style import HARDWARE
 from simbias.policy.trajectory import Trajectory
@@ -61,6 +61,23 @@ def test_a_plan_follows_and_costs_what_the_cost_says(robot: Study) -> None:
     np.testing.assert_array_equal(lines(plane, HARDWARE)[0], aims)
     for axes, aim in zip(over_time, aims.T, strict=True):
         np.testing.assert_array_equal(lines(axes, HARDWARE)[0][:, 1], aim)
+
+
+@pytest.mark.usefixtures("uncompiled")
+def test_an_angle_that_wraps_is_drawn_beside_its_reference() -> None:
+    moving = [
+        "preset=pendulum_swingup",
+        "task.goal={angle: pi + t, d_angle: 1}",
+        "bias=none",
+        "identification=none",
+    ]
+    study = simbias.load([*moving, "task.horizon=20", "task.hold=0.2", "tracking=none"])
+    theta, states = np.zeros(study.policy.n_parameters), np.tile([0.1 - np.pi, 0.0], (21, 1))
+    tried = iteration_record(
+        study, 0, theta, (Rollout(states, np.zeros((20, 1)), parameters=theta),), 1, Stopwatch()
+    )
+    angle = lines(following(study, [tried]).axes[0], HARDWARE)[0][:, 1]
+    np.testing.assert_allclose(angle, 0.1 + np.pi)
 
 
 def test_a_goal_that_rests_has_no_such_picture() -> None:

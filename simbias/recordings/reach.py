@@ -13,6 +13,7 @@ import numpy as np
 
 from simbias.core import Task
 from simbias.core.records import Array, Rollout
+from simbias.core.robot import wrapped
 
 ENDS = (0.0025, 0.9975)  # quantiles that count as the ends of a range: single frames do not
 MARGIN = 0.1  # of a range's width, at each end
@@ -30,14 +31,20 @@ class Reach(NamedTuple):
 
 
 def beyond(task: Task, rollouts: Sequence[Rollout], learned: Sequence[Rollout]) -> list[Reach]:
-    """States and inputs of rollouts that reach beyond those that were learned from, the most often first."""
-    here, before = _frames(rollouts), _frames(learned)
-    ranges, known = (np.quantile(each, ENDS, axis=0) for each in (here, before))
+    """States and inputs of rollouts that reach beyond those that were learned from, the most often first.
+
+    An angle that wraps is told within half a turn of the middle of what was learned from.
+    """
+    quantities = [*task.states, *task.inputs]
+    known = np.quantile(_frames(learned), ENDS, axis=0)
+    middle = known.mean(axis=0)
+    here = middle + wrapped(_frames(rollouts) - middle, quantities)
+    ranges = np.quantile(here, ENDS, axis=0)
     margin = MARGIN * (known[1] - known[0])
     shares = np.mean((here < known[0] - margin) | (here > known[1] + margin), axis=0)
     found = [
         Reach(each.name, each.unit, (ranges[0, i], ranges[1, i]), (known[0, i], known[1, i]), shares[i])
-        for i, each in enumerate([*task.states, *task.inputs])
+        for i, each in enumerate(quantities)
         if shares[i] > WORTH_TELLING
     ]
     return sorted(found, key=lambda each: -each.share)

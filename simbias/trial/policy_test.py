@@ -102,7 +102,9 @@ class PolicyTestResult:
         of = f" of {self.horizon:g} s"
         if not lasting:  # success is told at an episode's own end
             of = f": {len(self.episodes) - count}{of} and {count} of {long}"
-        return f"{said}{of}, and lasts in {lasted} of {long} (they last {self.long_seconds:.0f} s on average)."
+        return (
+            f"{said}{of}, and lasts in {lasted} of {long} (they last {self.long_seconds:.0f} s on average)."
+        )
 
 
 def run_policy_test(

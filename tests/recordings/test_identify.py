@@ -615,6 +615,9 @@ def test_other_positions_do_and_motion_of_a_kind_does_not(rollouts: list[Rollout
     assert beyond(task, rollouts[:1], rollouts[1:]) == beyond(task, rollouts, rollouts) == []
     (found,) = beyond(task, [replace(rollouts[0], states=turned)], rollouts)
     assert (found.name, found.share) == (task.states[0].name, 1.0)
+    wraps = pendulum("task.states.pos1={unit: rad, kind: angle, wraps: true}").task
+    whole = rollouts[0].states + np.array([6 * np.pi, 0.0, 0.0, 0.0])
+    assert beyond(wraps, [replace(rollouts[0], states=whole)], rollouts) == []
 
 
 def test_stronger_inputs_do(rollouts: list[Rollout]) -> None:

@@ -11,6 +11,7 @@ from matplotlib.lines import Line2D
 
 from simbias.core import Task
 from simbias.core.records import Array, Iteration, Rollout
+from simbias.core.robot import wrapped
 from simbias.pictures.elements.drawing import NoPictureError
 from simbias.pictures.elements.layout import headline, legend, panels
 from simbias.pictures.elements.style import HARDWARE, SIMULATION, label, plain
@@ -55,8 +56,8 @@ def following(study: Study, iterations: Sequence[Iteration]) -> Figure:
         experiment = worst_experiment(iteration)
         targets = [task.targets_in(experiment.states[0])] if task.targets else []
         reference = np.array([task.reference(t, *targets) for t in times])  # (T+1, g)
-        shown = [(each, SIMULATION, "--") for each in simulated(study, iteration, [experiment])]
-        shown = [*shown, (experiment, HARDWARE, "-")]
+        rollouts = [*simulated(study, iteration, [experiment]), experiment]
+        shown = [(_near(task, each, reference[0]), each, each is experiment) for each in rollouts]
         if in_plane:
             _draw_plane(block[0], task, reference, shown)
         for goal, axes in enumerate(block[int(in_plane) :]):
@@ -65,14 +66,21 @@ def following(study: Study, iterations: Sequence[Iteration]) -> Figure:
     return figure
 
 
-Shown = Sequence[tuple[Rollout, str, str]]  # with its color and line
+Shown = Sequence[tuple[Array, Rollout, bool]]  # the goal's quantities (k+1, g) of a rollout; on hardware?
+
+
+def _near(task: Task, rollout: Rollout, first: Array) -> Array:
+    """The goal's quantities (k+1, g); those that wrap begin within half a turn of their first reference."""
+    values = task.aim(rollout.states)
+    away = values[0] - first
+    return values + (wrapped(away, task.goals) - away)
 
 
 def _draw_plane(axes: Axes, task: Task, reference: Array, shown: Shown) -> None:
     """Both quantities against each other, to scale."""
     axes.plot(*reference.T, color=REFERENCE, linewidth=3.0)
-    for rollout, color, line in shown:
-        _draw(axes, task.aim(rollout.states), rollout, color, line)
+    for each in shown:
+        _draw(axes, *each)
     axes.set(xlabel=label(task.goals[0]), ylabel=label(task.goals[1]))
     axes.set_aspect("equal", adjustable="datalim")
     plain(axes)
@@ -81,15 +89,16 @@ def _draw_plane(axes: Axes, task: Task, reference: Array, shown: Shown) -> None:
 def _draw_over_time(axes: Axes, task: Task, goal: int, reference: Array, shown: Shown) -> None:
     """A quantity over time; the reference (T+1, 2) has times before it."""
     axes.plot(*reference.T, color=REFERENCE, linewidth=3.0)
-    for rollout, color, line in shown:
+    for values, rollout, is_real in shown:
         times = task.time_step * np.arange(rollout.frames + 1)
-        _draw(axes, np.column_stack([times, task.aim(rollout.states)[:, goal]]), rollout, color, line)
+        _draw(axes, np.column_stack([times, values[:, goal]]), rollout, is_real)
     axes.set(xlabel="time (s)", ylabel=label(task.goals[goal]))
     plain(axes)
 
 
-def _draw(axes: Axes, points: Array, rollout: Rollout, color: str, line: str) -> None:
+def _draw(axes: Axes, points: Array, rollout: Rollout, is_real: bool) -> None:
     """A rollout's points (k, 2), and its failure."""
+    color, line = (HARDWARE, "-") if is_real else (SIMULATION, "--")
     axes.plot(*points.T, line, color=color, linewidth=1.0)
     if rollout.failed_at is not None:
         axes.plot(*points[-1], "X", color=color, markersize=8, markeredgecolor="white", zorder=3)
