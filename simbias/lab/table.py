@@ -46,9 +46,9 @@ class Table:
         HardwareError
             If a cell is no finite number, with its row and column.
         """
-        commas = self.decimal_commas and any(
-            "," in cells[column] for cells in self.cells for column in columns
-        )
+        given = [cells[column] for cells in self.cells for column in columns]
+        with_comma, with_point = (sum(mark in cell for cell in given) for mark in ",.")
+        commas = self.decimal_commas and with_comma > with_point
         number, last = COMMA if commas else POINT, len(self.rows) - 1
         table = np.zeros((len(self.rows), len(columns)))
         for index, cells in enumerate(self.cells):

@@ -35,7 +35,7 @@ def _parts(assessment: Assessment, excitation: Excitation | str, notes: Sequence
     yield items(lines) if lines else paragraph("All directions of what recordings share are determined.")
     yield heading("Errors of predictions that no model was fitted to")
     yield table(words.error_names(assessment), words.error_rows(assessment))
-    yield paragraph(words.ERRORS)
+    yield paragraph(words.about_errors(assessment))
     if outside := list(words.reach_lines(assessment)):
         yield paragraph("Some predictions extrapolate beyond the data that their model was learned from:")
         yield items(outside)

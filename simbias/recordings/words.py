@@ -20,7 +20,6 @@ PARAMETER_NAMES = (
     "trust",
 )
 ERROR_NAMES = ("horizon (s)", "predictions", "over nominal", "90% region holds")
-ERRORS = "Of states, a of b: root mean square errors of the identified model (a) and of the nominal one (b)."
 MEAN = "in the geometric mean over states and horizons"
 UNEXPLAINED = 2.0  # times what noise and uncertainty explain, from which the model lacks something
 WORTH = 0.1  # share by which an experiment has to narrow a parameter to be named
@@ -114,6 +113,17 @@ def error_rows(assessment: Assessment) -> Iterator[Sequence[str]]:
             "" if np.isnan(coverage) else f"{100 * coverage:.0f}%",
             *(f"{after:.3g} of {before:.3g}" for before, after in zip(nominal, identified, strict=True)),
         )
+
+
+def about_errors(assessment: Assessment) -> str:
+    """How to read the rows of errors."""
+    said = (
+        "Of states, a of b: root mean square errors of the identified model (a) and of the nominal one (b)."
+    )
+    own = [each.prior.name for each in assessment.findings if each.prior.of_recording]
+    if own and (assessment.held_out or len(assessment.recordings) > 1):
+        said += f" Of {', '.join(own)} each recording has its own: here the prior's median takes its place."
+    return said
 
 
 def undetermined_lines(assessment: Assessment) -> Iterator[str]:

@@ -146,7 +146,7 @@ def tell(console: Console, assessment: Assessment, excitation: Excitation | str)
     for line in words.undetermined_lines(assessment):
         say(console, f"Not determined: {line}")
     table(console, words.error_names(assessment), list(words.error_rows(assessment)))
-    say(console, words.ERRORS)
+    say(console, words.about_errors(assessment))
     for line in words.reach_lines(assessment):
         say(console, f"Extrapolation: {line}")
     for line in words.advice(assessment, excitation):

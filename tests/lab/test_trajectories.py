@@ -146,6 +146,10 @@ REFUSED: dict[str, tuple[Callable[[Lines], Lines], str]] = {
         + [line.replace(",", ";").replace(".", ",") for line in text[7:]],
         "row 2, column time: expected a finite number, got '0.0'",
     ),
+    "one comma among points": (
+        lambda text: [line.replace(",", ";").replace("1_5", "1,5") for line in cell(7, 3, "1_5")(text)],
+        "row 7, column force: expected a finite number, got '1,5'",
+    ),
     "a position in degrees": (
         lambda text: lines(HEADER, np.c_[TIMES, 0.5 - 57.3 * TIMES, 0 * TIMES - 1, 0 * TIMES]),
         "position changes 57.3 times as fast as velocity says: is a unit wrong, or a column?",

@@ -31,7 +31,7 @@ from simbias.recordings.parts import parts
 from simbias.recordings.reach import beyond
 from simbias.recordings.reading import read
 from simbias.recordings.report import report
-from simbias.recordings.words import advice, error_names, verdict
+from simbias.recordings.words import about_errors, advice, error_names, verdict
 from simbias.robots.mujoco.model import Mujoco
 from simbias.robots.mujoco.parameters import values_of
 from simbias.robots.none import NoNominal
@@ -151,6 +151,9 @@ def test_nothing_is_advised_for_what_each_recording_has_of_its_own(assessment: A
     (best, rest) = advice(assessment, useful)
     assert best.endswith(f" should narrow {first.prior.name} (by 20%).")
     assert first.prior.name not in rest
+    with_own = replace(assessment, findings=[own, *others])
+    told = [about_errors(each) for each in (assessment, with_own, replace(with_own, recordings=["one"]))]
+    assert [f"Of {first.prior.name} each recording has its own" in each for each in told] == [0, 1, 0]
 
 
 @pytest.mark.slow
