@@ -11,6 +11,7 @@ from threadpoolctl import threadpool_limits
 from simbias.core import Nominal, Task
 from simbias.core.errors import ConfigError
 from simbias.core.messages import words
+from simbias.core.parameters import Estimate
 from simbias.core.records import Rollout
 from simbias.learning.identification.directions import Direction, undetermined
 from simbias.learning.identification.identified import Identified
@@ -23,6 +24,7 @@ from simbias.trial.study import Study
 
 OTHER_WINDOWS = (0.5, 2.0)  # durations of predictions, over the chosen one
 LONGEST = max(OTHER_WINDOWS)  # that each part has to hold
+UNEXPLAINED = 2.0  # times what noise and uncertainty explain, from which the model lacks something
 REVERSED = 0.9  # times the nominal model's errors, below which an input's sign seems to be reversed
 
 
@@ -30,6 +32,7 @@ REVERSED = 0.9  # times the nominal model's errors, below which an input's sign 
 class Assessment:
     """A model identified from recordings, and what is known of it."""
 
+    name: str  # the task's, as a config chooses it
     task: Task
     nominal: Nominal
     recordings: Sequence[str]  # that were not held out
@@ -73,6 +76,24 @@ class Assessment:
     def better(self) -> bool:
         """Whether the model predicts better than the nominal one what it was not fitted to."""
         return self.ratio < 1.0
+
+    @property
+    def own_estimates(self) -> dict[str, list[Estimate]]:
+        """What each recording, by its name, has of its own, as zeros or a load."""
+        fits = map(self.identified.of_recording, range(len(self.recordings)))
+        return {
+            name: [e for each, e in zip(fit.parameters, fit.estimates, strict=True) if each.of_recording]
+            for name, fit in zip(self.recordings, fits, strict=True)
+        }
+
+    @property
+    def unexplained(self) -> tuple[float, float] | None:
+        """How many times what noise and the model's uncertainty explain errors are at most, after so many s.
+
+        None where all are explained; else the model lacks something.
+        """
+        each = ((one.unexplained(), one.seconds) for one in self.predictions)
+        return max((found for found in each if found[0] > UNEXPLAINED), default=None)  # not where it is nan
 
     @property
     def undetermined(self) -> list[Direction]:
@@ -154,6 +175,7 @@ def assess(
     pairs = zip(alone, rest, strict=True)
     learned = [(model.elsewhere(), apart.rollouts) for model, apart in pairs] if kept else []
     return Assessment(
+        study.choices["task"],
         study.task,
         study.nominal,
         list(recordings),

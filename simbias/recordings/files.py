@@ -30,9 +30,10 @@ from simbias.trial.study import Study
 GROUP, OPTION = "identification", "identified"
 FIRST_LINE = "# What recordings say of the nominal model's parameters; a trial's experiments add to it."
 DRAWS, MODELS, SEED = 100, 10, 0  # of the posterior: rows of a table, files
-EXCITATION = "excitation.csv"
-OPTIONAL = (EXCITATION, f"{OPTION}.xml", *(f"draw_{i}.xml" for i in range(MODELS)))  # not of every model
+EXCITATION, OWN = "excitation.csv", "recordings.csv"
+OPTIONAL = (EXCITATION, OWN, f"{OPTION}.xml", *(f"draw_{i}.xml" for i in range(MODELS)))  # not of every model
 MECHANICS_ALONE = "<!-- Without motors and sensors: parameters.csv and draws.csv tell what they add. -->\n"
+OF_RECORDINGS = f"<!-- {{}} at the prior's median: each recording has its own, in {OWN}. -->\n"
 
 
 def check_replaces_nothing(study: Study, folder: Path, option: Path) -> None:
@@ -75,13 +76,14 @@ def write(
     OSError
         If a file cannot be written.
     """
-    title = f"{type(assessment.nominal).__name__}, identified from recordings"
     texts = {  # all of them before any is written, or removed
-        "report.html": report(assessment, title, excitation, notes),
+        "report.html": report(assessment, excitation, notes),
         "parameters.csv": parameters(assessment).to_csv(index=False),
         "errors.csv": errors(assessment).to_csv(index=False),
         "draws.csv": draws(assessment.identified).to_csv(index=False),
     }
+    if len(own := of_recordings(assessment)):
+        texts[OWN] = own.to_csv(index=False)
     if isinstance(excitation, Excitation):
         told = trajectory(assessment.task, excitation.rollout)
         texts[EXCITATION] = told.to_csv(index=False, float_format="%.6g")
@@ -109,6 +111,15 @@ def parameters(assessment: Assessment) -> pd.DataFrame:
             "doubts": "; ".join(finding.doubts),
         }
         for finding in assessment.findings
+    )
+
+
+def of_recordings(assessment: Assessment) -> pd.DataFrame:
+    """A row for each recording and parameter that it has of its own, as a load or a zero."""
+    return pd.DataFrame(
+        {"recording": name, **estimate._asdict()}
+        for name, estimates in assessment.own_estimates.items()
+        for estimate in estimates
     )
 
 
@@ -146,7 +157,10 @@ def models(identified: Identified) -> Iterator[tuple[str, str]]:
         mechanics = model.mechanics if isinstance(model, Rig) else model
         if isinstance(mechanics, Mujoco):
             lacks = len(model.parameters) > len(mechanics.parameters)
-            yield name, MECHANICS_ALONE * lacks + mechanics.mjcf()
+            of_its_own = {each.name for each in identified.parameters if each.of_recording}
+            own = ", ".join(each.name for each in mechanics.parameters if each.name in of_its_own)
+            comments = MECHANICS_ALONE * lacks + OF_RECORDINGS.format(own) * bool(own)
+            yield name, comments + mechanics.mjcf()
 
 
 def trajectory(task: Task, rollout: Rollout) -> pd.DataFrame:

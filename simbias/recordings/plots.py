@@ -32,7 +32,7 @@ DRAWN = 5  # s of a part, at most
 MEASURED: Any = {"color": HARDWARE, "linewidth": 4.0, "alpha": 0.35}  # seen below a prediction that is right
 PRIOR = "0.75"  # grey
 WIDER = 1.0  # times the prior's interval on either side of it, up to which parameters are drawn
-WIDE = 20.0  # largest over smallest error, below which decades are too few ticks
+TICKS = {4.0: (1, 1.5, 2, 3, 4, 5, 7), 20.0: (1, 2, 5), 200.0: (1, 3)}  # by largest over smallest error
 CLEAR = 6.0  # times the range of what is measured: a prediction beyond is not drawn
 
 
@@ -100,8 +100,9 @@ def errors(assessment: Assessment) -> Figure:
         logarithmic(axes.xaxis)
         if np.nanmin(both[:, :, i]) > 0:
             logarithmic(axes.yaxis)
-            if np.nanmax(both[:, :, i]) < WIDE * np.nanmin(both[:, :, i]):
-                axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            range_of_errors = np.nanmax(both[:, :, i]) / np.nanmin(both[:, :, i])
+            if subs := next((subs for most, subs in TICKS.items() if range_of_errors < most), None):
+                axes.yaxis.set_major_locator(LogLocator(subs=subs))
                 axes.yaxis.set_major_formatter("{x:g}")
         axes.set_xticks([0.1, 1.0], ["0.1", "1"])
         plain(axes)

@@ -12,11 +12,9 @@ from simbias.recordings.excitation import Excitation
 MOST = 5  # parts that are drawn
 
 
-def report(
-    assessment: Assessment, title: str, excitation: Excitation | str, notes: Sequence[str] = ()
-) -> str:
+def report(assessment: Assessment, excitation: Excitation | str, notes: Sequence[str] = ()) -> str:
     """The report of an assessment, as HTML in one file, with notes on its recordings."""
-    return page(title, _parts(assessment, excitation, notes))
+    return page(f"{assessment.name}, identified from recordings", _parts(assessment, excitation, notes))
 
 
 def _parts(assessment: Assessment, excitation: Excitation | str, notes: Sequence[str]) -> Iterator[str]:

@@ -21,7 +21,6 @@ PARAMETER_NAMES = (
 )
 ERROR_NAMES = ("horizon (s)", "predictions", "over nominal", "90% region holds")
 MEAN = "in the geometric mean over states and horizons"
-UNEXPLAINED = 2.0  # times what noise and uncertainty explain, from which the model lacks something
 WORTH = 0.1  # share by which an experiment has to narrow a parameter to be named
 REMEDY = "weigh or measure a part, or record with another load, and declare what is then known"
 
@@ -47,11 +46,9 @@ def verdict(assessment: Assessment) -> str:
 
 def _lacking(assessment: Assessment) -> str:
     """A sentence if errors are larger than noise and the model's uncertainty explain; else ""."""
-    each = [(one.unexplained(), one.seconds) for one in assessment.predictions]
-    larger = [(times, seconds) for times, seconds in each if times > UNEXPLAINED]  # not where it is nan
-    if not larger:
+    if (found := assessment.unexplained) is None:
         return ""
-    times, seconds = max(larger)
+    times, seconds = found
     return (
         f" Errors after {seconds:g} s are {times:.1f} times what measurement noise and intervals explain: "
         "the model lacks something, and its values are those that predict best, which may not be the robot's."
@@ -69,6 +66,7 @@ def _reversed(assessment: Assessment) -> str:
 
 def parameter_rows(assessment: Assessment) -> Iterator[Sequence[str]]:
     """A row for each parameter; its last cell answers whether it may be trusted."""
+    yes = "yes" if assessment.unexplained is None else "in this model, which lacks something"
     for finding in assessment.findings:
         estimate, (low, high) = finding.estimate, finding.prior_interval
         yield (
@@ -79,19 +77,14 @@ def parameter_rows(assessment: Assessment) -> Iterator[Sequence[str]]:
             f"{estimate.value:.4g}",
             f"{estimate.low:.4g} .. {estimate.high:.4g}",
             f"{100 * finding.shrinkage:.0f}%",
-            "; ".join(finding.doubts) or "yes",
+            "; ".join(finding.doubts) or yes,
         )
 
 
 def own_lines(assessment: Assessment) -> Iterator[str]:
     """A line for each recording that has something of its own, as zeros or a load."""
-    for i, name in enumerate(assessment.recordings):
-        fit = assessment.identified.of_recording(i)
-        told = [
-            f"{e.name} {e.value:.4g} ({e.low:.4g} .. {e.high:.4g}) {e.unit}"
-            for parameter, e in zip(fit.parameters, fit.estimates, strict=True)
-            if parameter.of_recording
-        ]
+    for name, estimates in assessment.own_estimates.items():
+        told = [f"{e.name} {e.value:.4g} ({e.low:.4g} .. {e.high:.4g}) {e.unit}" for e in estimates]
         if told:
             yield f"{name}: {', '.join(told)}"
 

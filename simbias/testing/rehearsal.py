@@ -37,7 +37,7 @@ def rehearse(study: Study) -> None:
     try:
         with threadpool_limits(1, user_api="blas"):  # as in a trial
             warm_up(study)
-    except KeyboardInterrupt:
+    except (ConfigError, KeyboardInterrupt):
         raise
     except BaseException as error:
         raise ConfigError("", told(error)) from error

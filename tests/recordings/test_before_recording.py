@@ -233,7 +233,7 @@ REFUSED = [
     (["~moon"], "Could not delete from config. 'moon' does not exist"),  # no recording
     (["~/moon.csv"], "~/moon.csv: no such recording (.csv, "),
     (["identification.each=[moon]"], "identification.each: no moon; there is mass_1, "),
-    ([KNOWN], "identification.known is of moon; the nominal model's parameters are mass_1, "),
+    ([KNOWN], "identification.known: is of moon; the nominal model's parameters are mass_1, "),
     (["--seconds=0.05"], "identification.window: 0.1 s are more than inputs of 0.05 s\n"),
     (["--seconds=0.03"], "task.time_step: 0.002 s are too long for inputs of 0.03 s: 20 frames at least\n"),
     (["hardware.safety.states={vel1: 1e-6}"], "hardware.safety: no inputs were found that keep "),

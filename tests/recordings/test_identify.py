@@ -24,18 +24,27 @@ from simbias.learning.identification.rig import Rig, Sensor
 from simbias.recordings import horizons, plots
 from simbias.recordings.assessment import Assessment, assess, prepared, reversed_inputs
 from simbias.recordings.excitation import Excitation
-from simbias.recordings.files import check_replaces_nothing, draws, head, models, option_lines, write
+from simbias.recordings.files import (
+    check_replaces_nothing,
+    draws,
+    head,
+    models,
+    of_recordings,
+    option_lines,
+    write,
+)
 from simbias.recordings.findings import findings
 from simbias.recordings.horizons import CHANGE, Prediction, inside, predictions, regions, sizes
 from simbias.recordings.parts import parts
 from simbias.recordings.reach import beyond
 from simbias.recordings.reading import read
 from simbias.recordings.report import report
-from simbias.recordings.words import about_errors, advice, error_names, verdict
+from simbias.recordings.words import about_errors, advice, error_names, parameter_rows, verdict
 from simbias.robots.mujoco.model import Mujoco
 from simbias.robots.mujoco.parameters import values_of
 from simbias.robots.none import NoNominal
 from simbias.terminal.identify import Request
+from simbias.testing.rehearsal import rehearse
 from simbias.trial.study import Study
 
 Robot = tuple[dict[str, float], dict[str, Rollout]]  # its parameters, and recordings of it
@@ -99,10 +108,12 @@ def test_errors_that_noise_and_uncertainty_do_not_explain_are_told(assessment: A
     larger = [
         replace(one, identified=tuple(3 * each for each in one.identified)) for one in assessment.predictions
     ]
-    told = verdict(replace(assessment, predictions=larger))
-    assert re.search(
-        r" Errors after \S+ s are [34]\.\d times what measurement noise and intervals explain: ", told
-    )
+    lacking = replace(assessment, predictions=larger)
+    said = r" Errors after \S+ s are [34]\.\d times what measurement noise and intervals explain: "
+    assert re.search(said, verdict(lacking))
+    told = [[row[-1] for row in parameter_rows(each)] for each in (assessment, lacking)]
+    assert "yes" in told[0]
+    assert told[1] == [cell.replace("yes", "in this model, which lacks something") for cell in told[0]]
 
 
 def test_an_input_whose_sign_is_the_other_way_is_named(assessment: Assessment, study: Study) -> None:
@@ -298,10 +309,9 @@ def test_a_trial_begins_with_what_was_identified(
     assert isinstance(first, Identified)
     assert first.estimates == assessment.identified.estimates
     moved = simbias.load([*options, "nominal.drives.damping_1=0.002"], tmp_path / "conf")
-    with pytest.raises(
-        ValueError, match=r"known is of damping_1 declared as \S+ N m s/rad .*; it is 0\.002 N m"
-    ):
-        moved.first_model()
+    declared = r"^identification\.known: is of damping_1 declared as \S+ N m s/rad .*; it is 0\.002 N m"
+    with pytest.raises(ConfigError, match=declared):
+        rehearse(moved)
     np.testing.assert_array_equal(first.covariance, assessment.identified.covariance)
     robot, _ = truth(study.nominal, np.random.default_rng(4))
     more = attached.identification.fit(attached.nominal, [experiment(robot, np.random.default_rng(9))])
@@ -310,7 +320,9 @@ def test_a_trial_begins_with_what_was_identified(
     assert volumes[0] < volumes[1]
     assert len(pd.read_csv(tmp_path / "draws.csv")) == 100
     assert pd.read_csv(tmp_path / "parameters.csv").set_index("name").loc["friction_1", "trusted"]
-    with pytest.raises(ValueError, match=r"identification\.known is of mass; the nominal model's parameters"):
+    with pytest.raises(
+        ValueError, match=r"identification\.known: is of mass; the nominal model's parameters"
+    ):
         type(study.identification)(study.task, known=Known(["mass"], [0.0], [[1.0]])).fit(  # type: ignore[call-arg]
             study.nominal, []
         )
@@ -363,6 +375,20 @@ def test_the_file_that_the_model_is_read_from_is_not_replaced(study: Study, tmp_
         check_replaces_nothing(study, tuesday, option)
 
 
+def test_what_each_recording_has_of_its_own_is_in_a_table(assessment: Assessment, tmp_path: Path) -> None:
+    """And the MJCF says that it has the prior's."""
+    robot = Mujoco(cart_pole(), mjcf(tmp_path), uncertainty={"tip.mass": 0.1, "pole.mass": 0.1})
+    rig = Rig(cart_pole(), robot, {}, {}, each=["tip.mass"])
+    first, second = (Identified(rig, np.full(2, z), 0.1 * np.eye(2), {}) for z in (-1.0, 1.0))
+    identified = first.elsewhere()
+    identified.recordings = (first, second)
+    table = of_recordings(replace(assessment, recordings=["bare", "loaded"], identified=identified))
+    assert table[["recording", "name"]].to_numpy().tolist() == [["bare", "tip.mass"], ["loaded", "tip.mass"]]
+    assert table["value"].tolist() == [each.estimates[0].value for each in (first, second)]
+    said = "<!-- tip.mass at the prior's median: each recording has its own, in recordings.csv. -->"
+    assert dict(models(identified))["identified"].startswith(said)
+
+
 def test_files_of_draws_are_of_the_table_of_draws(tmp_path: Path) -> None:
     """Of a gain and of a size, which multiply; also behind sensors, of which the files say that they lack."""
     task, uncertainty = cart_pole(), {"push.gain": 0.3, "tip.mass": 0.1, "pole.size": 0.2}
@@ -396,7 +422,7 @@ def test_the_page_is_one_file_and_runs_nothing(assessment: Assessment) -> None:
         assessment, predictions=[replace(first, nominal=first.identified, identified=first.nominal), *rest]
     )
     assert f" It errs more after {first.seconds:g} s." in verdict(worse)
-    text = report(assessment, "<b>title</b>", "none", ["one: vel2 is estimated from pos2"])
+    text = report(replace(assessment, name="<b>title</b>"), "none", ["one: vel2 is estimated from pos2"])
     assert "one: vel2 is estimated from pos2" in text
     assert "<script" not in text
     assert "<b>title" not in text

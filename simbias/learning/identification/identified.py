@@ -10,6 +10,7 @@ import numpy as np
 from scipy.linalg import qr
 
 from simbias.core import Nominal
+from simbias.core.errors import ConfigError
 from simbias.core.model import drawn
 from simbias.core.parameters import Estimate, Parameter, values_at
 from simbias.core.ranges import Coordinate
@@ -157,21 +158,20 @@ class KnownPrior(Nominal):
 
     Raises
     ------
-    ValueError
+    ConfigError
         If the posterior is of other parameters than the model has, or of other declared values.
     """
 
     def __init__(self, nominal: Nominal, known: Known) -> None:
         names = [parameter.name for parameter in nominal.parameters]
         if names != known.parameters:
-            raise ValueError(
-                f"identification.known is of {', '.join(known.parameters)}; "
-                f"the nominal model's parameters are {', '.join(names) or 'none'}"
-            )
+            problem = f"is of {', '.join(known.parameters)}; the nominal model's parameters are "
+            raise ConfigError("identification.known", problem + (", ".join(names) or "none"))
         declared = [_declared(parameter) for parameter in nominal.parameters]
         for name, before, now in zip(names, known.declared or declared, declared, strict=True):
             if before != now:
-                raise ValueError(f"identification.known is of {name} declared as {before}; it is {now}")
+                problem = f"is of {name} declared as {before}; it is {now}"
+                raise ConfigError("identification.known", problem)
         self._nominal = nominal
         self._mode, self._spread = np.array(known.mode), np.array(known.spread)
         self.kernel, self.state_size, self.acting = nominal.kernel, nominal.state_size, nominal.acting
