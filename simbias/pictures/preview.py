@@ -34,12 +34,11 @@ class Series(NamedTuple):
 
 
 def predicted(task: Task, prediction: Prediction, bounds: Bounds) -> Iterator[Series]:
-    """Every state and input."""
+    """Every input and, if anything is known of them, every state before."""
     expected = prediction.expected
-    for quantities, values, band, limits in (
-        (task.states, expected.states, prediction.band(), (-bounds.states, bounds.states)),
-        (task.inputs, expected.inputs, prediction.band(inputs=True), bounds.input_bounds),
-    ):
+    states = (task.states, expected.states, prediction.band(), (-bounds.states, bounds.states))
+    inputs = (task.inputs, expected.inputs, prediction.band(inputs=True), bounds.input_bounds)
+    for quantities, values, band, limits in (states, inputs) if prediction.is_known else (inputs,):
         for index, quantity in enumerate(quantities):
             low, high = (edge[:, index] for edge in band)
             yield Series(quantity, values[:, index], low, high, [limit[index] for limit in limits])
@@ -48,14 +47,15 @@ def predicted(task: Task, prediction: Prediction, bounds: Bounds) -> Iterator[Se
 def preview(study: Study, prediction: Prediction, bounds: Bounds) -> Figure:
     """Every state and input over time in s; dotted, the limits at which the experiment is aborted."""
     task, limited = study.task, False
-    figure, (grid,) = panels(len(task.states) + len(task.inputs), HEIGHT)
-    for axes, series in zip(grid, predicted(task, prediction, bounds), strict=True):
+    shown = list(predicted(task, prediction, bounds))
+    figure, (grid,) = panels(len(shown), HEIGHT)
+    for axes, series in zip(grid, shown, strict=True):
         limited |= _draw(axes, task.time_step, series)
     ended = [d.failed_at is not None or exceeded(d, task, bounds) != "" for d in prediction.draws]
     headline(grid[0], "the next experiment, as predicted")
     entries: dict[str, Artist] = {
         "from the experiment's start": Line2D([], [], color=SIMULATION),
-        f"at each time, 90% of {DRAWS} draws of other starts and models"
+        f"at each time, 90% of {DRAWS} draws of {prediction.drawn}"
         f"{f', {sum(ended)} fail or are aborted' if any(ended) else ''}": Patch(color=SIMULATION, alpha=0.2),
     }
     if limited:

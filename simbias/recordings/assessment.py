@@ -79,7 +79,7 @@ class Assessment:
 
     @property
     def own_estimates(self) -> dict[str, list[Estimate]]:
-        """What each recording, by its name, has of its own, as zeros or a load."""
+        """Values of each recording, by its name, that it has of its own, as zeros or a load."""
         fits = map(self.identified.of_recording, range(len(self.recordings)))
         return {
             name: [e for each, e in zip(fit.parameters, fit.estimates, strict=True) if each.of_recording]

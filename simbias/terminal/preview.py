@@ -84,6 +84,9 @@ def describe(study: Study, prediction: Prediction, bounds: Bounds) -> Iterator[s
     ):
         limited = f" (limit {limit:.4g})" if np.isfinite(limit) else ""
         yield f"{quantity.name} changes by at most {change:.4g} {quantity.unit} in a second{limited}."
+    if not prediction.is_known:
+        yield "There is no model, so nothing is known of the states before the first experiment."
+        return
     if exceeded(expected, task, bounds):
         parts = (expected.part(max(frame - 1, 0), frame + 1) for frame in range(expected.frames))
         beyond_in = enumerate(exceeded(part, task, bounds) for part in parts)
@@ -100,7 +103,7 @@ def describe(study: Study, prediction: Prediction, bounds: Bounds) -> Iterator[s
     failed = ", ".join(f"{words} ({count})" for words, count in counts.most_common())
     missed = "".join(f", {ends.count(end)} {end}" for end in (ABORTED, MISSED, DEAR) if end in ends)
     fail = f"{len(failures)} fail{failed and f': {failed}'}"
-    yield f"Of {DRAWS} draws of start and model, {ends.count(SUCCEEDED)} succeed{missed}, {fail}."
+    yield f"Of {DRAWS} draws of {prediction.drawn}, {ends.count(SUCCEEDED)} succeed{missed}, {fail}."
 
 
 def _end(study: Study, draw: Rollout, bounds: Bounds) -> str:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from simbias.core import FittedBias, Nominal
 from simbias.core.records import Array, Rollout
+from simbias.robots.none import NoNominal
+from simbias.simulation.noise import QUIET, Noise, without_zeros
 from simbias.trial.study import Study
 
 DRAWS, SEED = 40, 0
@@ -20,6 +23,8 @@ class Prediction:
 
     expected: Rollout  # from its start, on the model that the search used
     draws: tuple[Rollout, ...]  # from other starts that the task draws, on models that may be right too
+    drawn: str  # of what, in words
+    is_known: bool = True  # whether anything is known of states; without a model and data, nothing is
 
     @property
     def failures(self) -> list[str]:
@@ -48,15 +53,36 @@ def predict(
     bias: FittedBias | None = None,
     nominal: Nominal | None = None,
 ) -> Prediction:
-    """Simulate an experiment with theta (p,) from a start (n,), without noise.
+    """Simulate an experiment with theta (p,) from a start (n,), with neither noise nor a push.
 
-    Draws begin at random starts of the task, on models and biases as they may be, for all that is known.
+    Draws begin at random starts of the task, on models and biases as they may be, for all that is known, with
+    the task's pushes and the noise that the hardware declares.
     """
-    model = study.model(bias, nominal)
+    model, noise = study.model(bias, nominal), declared_noise(study)
     study = study.designed_on(model)
     rng = np.random.default_rng(SEED)
+    (noise_rng,) = rng.spawn(1)
     draws = tuple(
-        study.simulate(theta, model.bias.draw(rng), study.task.draw_start(rng), model.nominal.draw(rng))
+        study.simulate(
+            theta,
+            model.bias.draw(rng),
+            study.task.draw_start(rng),
+            model.nominal.draw(rng),
+            None if noise.is_silent else noise.draw(noise_rng),
+        )
         for _ in range(DRAWS)
     )
-    return Prediction(study.simulate(theta, model.bias, start, model.nominal), draws)
+    noisy = noise.input_variance.any() or noise.sensor_variance.any()
+    drawn = ["start", "model", *["noise"] * bool(noisy), *["pushes"] * bool(study.task.pushes)]
+    words = f"{', '.join(drawn[:-1])} and {drawn[-1]}"
+    expected = study.simulate(theta, model.bias, start, model.nominal)
+    return Prediction(expected, draws, words, bias is not None or not isinstance(study.nominal, NoNominal))
+
+
+def declared_noise(study: Study) -> Noise:
+    """The noise that the hardware declares by names of the task's quantities, if it does, and pushes."""
+    declared = study.config.get("hardware", {}).get("noise")
+    try:
+        return Noise(study.task, without_zeros(dict(declared)) if isinstance(declared, Mapping) else QUIET)
+    except ValueError:  # a class of one's own may mean something else by it
+        return Noise(study.task, QUIET)

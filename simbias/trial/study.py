@@ -26,7 +26,7 @@ from simbias.core import (
     Task,
 )
 from simbias.core.errors import ConfigError
-from simbias.core.records import Array, Iteration, Rollout, Selection, Transitions
+from simbias.core.records import Array, Disturbance, Iteration, Rollout, Selection, Transitions
 from simbias.lab.checked_hardware import DEFAULT_CONDITIONS, CheckedHardware, ExperimentConditions
 from simbias.lab.requests.request import ExperimentRequest
 from simbias.simulation.closed_loop import simulator
@@ -138,11 +138,12 @@ class Study:
         fitted_bias: FittedBias | None = None,
         start: Array | None = None,
         nominal: Nominal | None = None,
+        disturbance: Disturbance | None = None,
     ) -> Rollout:
-        """Roll theta (p,) out in simulation, without noise (Eq. 7, 9).
+        """Roll theta (p,) out in simulation (Eq. 7, 9).
 
         Without a fitted bias g = 0; without a start (n,) it is the task's mean start; without an identified
-        nominal model it is the study's.
+        nominal model it is the study's; without a disturbance there is neither noise nor a push.
 
         Raises
         ------
@@ -151,7 +152,8 @@ class Study:
         """
         theta = shaped("theta", theta, self.policy.n_parameters)
         begin = shaped("start", self.task.start_mean if start is None else start, len(self.task.states))
-        return self._judged(self.simulator(fitted_bias, nominal).rollout(theta, begin), theta)
+        model = self._corrected(self.policy, fitted_bias, nominal)
+        return self._judged(simulator(model, disturbance, self.cost).rollout(theta, begin), theta)
 
     def experiment(
         self,

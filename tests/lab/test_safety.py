@@ -189,6 +189,27 @@ def test_the_band_holds_what_is_expected(point_mass: Study) -> None:
     assert prediction.largest_change(0.02) == pytest.approx(np.abs(inputs).max() / 0.02, rel=0.2)
 
 
+@pytest.mark.usefixtures("uncompiled")
+def test_draws_have_the_pushes_of_the_task_and_the_noise_of_the_hardware() -> None:
+    """What is expected has neither, and starts and models are the same."""
+    quiet = [f"hardware.noise.{kind}_variance=0" for kind in ("position", "angle", "velocity")]
+    short, told = ["preset=cartpole_swingup", "task.horizon=50", "task.hold=0.2", "tracking=none"], []
+    for pushes, noise in product(([], ["task.pushes=null"]), ([], quiet)):
+        study = simbias.load([*short, *pushes, *noise])
+        theta = np.full(study.policy.n_parameters, 0.1)
+        told.append(predict(study, theta, study.task.start_mean))
+    assert [each.drawn for each in told] == [
+        "start, model, noise and pushes",
+        "start, model and pushes",
+        "start, model and noise",
+        "start and model",
+    ]
+    for each in told[:3]:
+        np.testing.assert_array_equal(each.expected.inputs, told[3].expected.inputs)
+        np.testing.assert_array_equal(each.draws[-1].states[0], told[3].draws[-1].states[0])
+        assert np.abs(each.draws[-1].states[-1] - told[3].draws[-1].states[-1]).max() > 1e-3
+
+
 def command(*overrides: str) -> list[str]:
     quick = ["tracking=none", "optimizer.max_evaluations=150"]
     return ["--config-dir", str(OWN_CONF), "--allow", "point_mass", *POINT_MASS, *quick, *overrides]
@@ -246,6 +267,10 @@ def test_a_preview_is_of_the_first_experiment_whatever_its_policy(preset: str) -
     np.testing.assert_allclose(prediction.expected.states[0], made[0].states[0])
     np.testing.assert_allclose(prediction.expected.inputs[0], made[0].inputs[0], atol=0.5)  # N m; it is noisy
     assert len(prediction.draws) == DRAWS
+    told = "\n".join(describe(study, prediction, study.conditions.safety.bounds(study.task)))
+    blind = "scratch" in preset  # the inputs are known, without a model nothing else is
+    assert ("There is no model, so nothing is known of the states before" in told) == blind
+    assert ("Predicted: " not in told and study.task.states[0].name not in told) == blind
     ideal = replace(study, method=Ideal(rollouts=1))
     np.testing.assert_array_equal(first_prediction(ideal).expected.parameters, next(ideal.run()).parameters)
 
