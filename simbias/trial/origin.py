@@ -21,6 +21,7 @@ from simbias.core.digest import short_digest
 from simbias.core.platform import PACKAGE
 from simbias.trial.study import Study
 
+TOOLS = re.compile(r"extra == .(docs|test)\b")  # requirements that no trial runs with
 IN_CLEAR = "simbias: %s: from the environment, and written in clear into %s, which MLflow shows too"
 
 
@@ -91,10 +92,12 @@ def _git(*arguments: str) -> str:
 
 @cache
 def _versions() -> dict[str, str]:
-    """Versions of Python, simbias and what it requires."""
+    """Versions of Python, simbias, what it requires, and of the extras that are installed."""
     versions = {"python": platform.python_version()}
-    with suppress(PackageNotFoundError):
-        required = [line for line in requires("simbias") or [] if "extra ==" not in line]
-        for package in ("simbias", *(re.split(r"[^\w\-.]", line)[0] for line in required)):
-            versions[package] = version(package)
+    with suppress(PackageNotFoundError):  # it runs from a checkout, and nothing is known
+        for line in ["simbias", *(requires("simbias") or [])]:
+            package = re.split(r"[^\w\-.]", line)[0]
+            if not TOOLS.search(line):
+                with suppress(PackageNotFoundError):  # an extra's
+                    versions[package] = version(package)
     return versions

@@ -85,6 +85,10 @@ def test_costs_are_those_of_the_records(short: Study, trial: list[Iteration]) ->
     for index, (xs, ys) in enumerate(zip(models, measured, strict=True)):
         (data,) = lines(pairs, HARDWARE, f"${index}$")  # in place of dots, which labels would overlap
         np.testing.assert_array_equal(data, np.column_stack([xs, ys]))
+    searched, searchless = (
+        texts(costs(short, each)) for each in (trial, [replace(one, search=None) for one in trial])
+    )
+    assert ("predicted by the search" in searched, "predicted by the search" in searchless) == (True, False)
     low, high = pairs.get_ylim()
     assert low < min(min(ys) for ys in measured) <= max(max(ys) for ys in measured) < high
 

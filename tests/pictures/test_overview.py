@@ -7,10 +7,13 @@ import pytest
 from figures import lines, texts
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from pendulum import pendulum
 
 from simbias.core.records import Iteration
+from simbias.learning.identification.identified import Identified
 from simbias.pictures import NoPictureError, overview
 from simbias.pictures.elements.style import HARDWARE, SIMULATION, label, symbol
+from simbias.pictures.trial.comparison import policy_words
 from simbias.trial.study import Study
 
 
@@ -91,6 +94,10 @@ def test_a_trial_of_one_iteration_and_a_method_without_search(
     assert "the physics engine blew up" in words
     assert "simulation alone" in words
     assert "learned bias" not in words
+    known = Identified.of_prior(pendulum().nominal)  # by recordings
+    assert trial[0].model is not None
+    attached = replace(trial[0], model=replace(trial[0].model, nominal=known))
+    assert policy_words(attached) == "Policy from the identified model alone"
     words = texts(overview(short, on_hardware))
     for index in (0, 1):
         assert f"Policy of iteration {index}: lasts all 1 s on hardware" in words

@@ -287,6 +287,10 @@ def test_what_cannot_be_meant_is_refused() -> None:
         ({"success": STILL, "hold": 6.0}, "hold is 6 s, and an episode 5 s: none can succeed"),
         ({"success": NEVER, "hold": 1.0}, "success.near cannot hold: .* is 0 m, not below -0.1 at the goal"),
         ({"starts": [[0.0]]}, "each has to have 4 numbers"),
+        (
+            {"starts": [[0.0] * 4], "states": {"position": {"unit": "m", "uniform": [0, 1]}}},
+            "states.position: starts take the place of its uniform or values",
+        ),
         ({"starts": [[0.0] * 4, [3.0, 0, 0, 0]]}, "starts.1: the task fails at its start: leaves"),
         ({"targets": {"aim": {"unit": "m", "uniform": [1, 0]}}}, "targets.aim: uniform is"),
         (

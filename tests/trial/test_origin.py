@@ -113,5 +113,5 @@ def test_files_that_a_component_reads_may_be_strings(study: Study, folder: Path)
 
 def test_versions_of_all_that_is_required() -> None:
     versions = origin._versions()
-    assert {"python", "simbias", "mlflow", "nlopt"} <= set(versions)
-    assert "pytest" not in versions
+    assert {"python", "simbias", "mlflow", "nlopt", "mujoco", "gymnasium"} <= set(versions)
+    assert not {"pytest", "sphinx"} & set(versions)

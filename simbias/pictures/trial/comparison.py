@@ -109,7 +109,8 @@ def policy_words(iteration: Iteration) -> str:
     if iteration.model is None:
         return f"Policy of iteration {iteration.index}"
     if before == 0:
-        return "Policy from simulation alone"
+        known = bool(iteration.model.nominal.estimates)
+        return "Policy from the identified model alone" if known else "Policy from simulation alone"
     return f"Policy after {counted(before, 'hardware experiment')}"
 
 

@@ -27,8 +27,9 @@ from simbias.trial.study import Study
 
 HEIGHT = 2.6  # in, of a panel
 ASIDE = 0.16  # iterations, between experiments of one iteration
+SEARCHED = "predicted by the search, from its own starts"
 LEGEND = {
-    "predicted by the search, from its own starts": Line2D([], [], color=SIMULATION, linewidth=2.5),
+    SEARCHED: Line2D([], [], color=SIMULATION, linewidth=2.5),
     "simulated, from the experiment's start": Line2D(
         [], [], color=SIMULATION, marker="o", linestyle="", markerfacecolor="none"
     ),
@@ -81,7 +82,8 @@ def costs(study: Study, iterations: Sequence[Iteration]) -> Figure:
     headline(pairs, "Each experiment, by its iteration's number")
     for axes in (by_iteration, pairs):
         plain(axes)
-    legend(figure, LEGEND)
+    searched = any(iteration.search is not None for iteration in iterations)
+    legend(figure, {name: line for name, line in LEGEND.items() if searched or name != SEARCHED})
     return figure
 
 

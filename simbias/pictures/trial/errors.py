@@ -36,7 +36,7 @@ HORIZONS = (1, 5, 20, 100)  # frames
 WINDOWS = 40  # at most, in the experiments of an iteration
 HEIGHT = 1.8  # in, of a panel
 NAMES = 2  # of states in a line of a label
-NOMINAL_ALONE, CORRECTED = "nominal model alone", "with what was learned from earlier iterations"
+NOMINAL_ALONE, CORRECTED = "nominal model alone", "with what had been learned before"
 STYLES = {NOMINAL_ALONE: SeriesStyle(NOMINAL, "s"), CORRECTED: SeriesStyle(SIMULATION, "o")}
 ASIDE = {NOMINAL_ALONE: -0.12, CORRECTED: 0.12}  # iterations
 
@@ -46,8 +46,8 @@ def prediction_errors(
 ) -> Figure:
     """Errors of predictions some frames ahead, in each iteration's experiments: medians and quartiles.
 
-    The bias has been learned from earlier iterations only; before anything was learned, there is the nominal
-    model alone. A prediction starts at the recorded state in one of some evenly spread frames and applies the
+    What was learned is from earlier iterations only, and from recordings; before, there is the nominal model
+    alone. A prediction starts at the recorded state in one of some evenly spread frames and applies the
     inputs that the policy had commanded. Its error is the norm over all states that share a unit. Horizons
     (in frames) longer than a quarter of the task's or than every experiment are left out, and so are
     experiments shorter than the longest horizon.

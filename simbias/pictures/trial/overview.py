@@ -156,7 +156,8 @@ def _draw_measure(
     axes.set(xlabel="time (s)", ylabel=measure.label)
     shade_beyond(axes, measure.limit, measure.limit_label, "left")  # a rollout begins far from it
     _name_failure(axes, study, rollouts[-1].rollout, measure.limit)
-    axes.legend(loc="best", bbox_to_anchor=(0.0, 0.0, 1.0, 0.8), frameon=False, fontsize=SMALL)
+    above = axes.legend(loc="best", bbox_to_anchor=(0.0, 0.0, 1.0, 0.8), framealpha=0.8, fontsize=SMALL)
+    above.get_frame().set_linewidth(0.0)  # its words can be read where a curve passes below
     plain(axes)
 
 

@@ -39,7 +39,8 @@ class Starts:
     Raises
     ------
     ValueError
-        If a state declares more than one mean, or a start has not a number for each state.
+        If a state declares more than one mean, or one that `starts` replace, or a start has not a number for
+        each state.
     """
 
     def __init__(self, states: Mapping[str, State], starts: Sequence[Sequence[float]] | None) -> None:
@@ -48,6 +49,8 @@ class Starts:
                 raise ValueError(f"{key}: uniform is {list(state.uniform)}, not from less to more")
             if (state.uniform is not None) + (state.values is not None) + (state.mean != 0) > 1:
                 raise ValueError(f"{key}: one of mean, uniform and values is to be given")
+            if starts is not None and (state.uniform or state.values):
+                raise ValueError(f"{key}: starts take the place of its uniform or values: give one of both")
         if any(len(start) != len(states) for start in starts or ()):
             raise ValueError(f"starts: each has to have {len(states)} numbers, one for each state")
         self._states = tuple(states.values())
