@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from enum import StrEnum
+from functools import cache
 from itertools import chain
 from math import isfinite, nan
 from typing import Any
@@ -133,7 +134,13 @@ class TrialSummary:
             If a value is missing or of another kind.
         """
         known = {name: nan if value is None else value for name, value in values.items()}
-        return TypeAdapter(TrialSummary).validate_python(known)
+        return _adapter().validate_python(known)
+
+
+@cache
+def _adapter() -> TypeAdapter[TrialSummary]:
+    """Validates summaries; to make it takes longer than to read hundreds of them."""
+    return TypeAdapter(TrialSummary)
 
 
 def iteration_summary(study: Study, iteration: Iteration, earlier: Sequence[Iteration]) -> dict[str, Any]:
