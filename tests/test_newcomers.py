@@ -184,6 +184,7 @@ def test_an_iteration_without_samples_says_why(point_mass: Study) -> None:
     assert remark.words == "no samples to learn from: none of 70 frames was sampled"
 
 
+@pytest.mark.slow
 def test_a_model_is_cleared_with_the_reason_once(point_mass: Study) -> None:
     text = shown(replace(point_mass, cost=Always(2.0), method=Algorithm1(max_iterations=3)))
     reason = "no policy of the corrected simulation costs less than Z_max = 1 (2 at best, of 40 simulated)"

@@ -67,6 +67,7 @@ BAD = {  # by override: its key, and what is said of it
 }
 
 
+@pytest.mark.slow
 def test_bad_override() -> None:
     for override, (key, problem) in BAD.items():
         with one_line() as error:
@@ -76,6 +77,7 @@ def test_bad_override() -> None:
         assert len(str(error.value)) < LONGEST + LONGEST_KEY + 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "beside", [[], ["+hardware.noise.angle_variance=0.1"]]
 )  # which Hydra sees to, or not
@@ -100,6 +102,7 @@ def test_config_dir_must_exist() -> None:
         assert options(folder) == options()
 
 
+@pytest.mark.slow
 def test_presets_combine() -> None:
     """A robot and a method; what one chooses oneself wins over both."""
     combined = compose(["preset=[cartpole,robust]", "bias=none"])
@@ -112,6 +115,7 @@ def test_presets_combine() -> None:
     assert other.choices["hardware"] == "acrobot"
 
 
+@pytest.mark.slow
 def test_hardware_that_declares_no_noise_is_taken_for_quiet() -> None:
     """As a person, in presets whose filter or identification asks for the hardware's noise; or a number."""
     filtering = compose(["preset=acrobot_trajectory", "hardware=manual", "~hardware.delay"]).config
@@ -161,6 +165,7 @@ RENAMES = {
 }
 
 
+@pytest.mark.slow
 def test_new_names_exist_and_old_ones_do_not() -> None:
     for old, new in RENAMED.items():
         assert _exists(new_name(old) or ""), new
@@ -205,6 +210,7 @@ def test_on_the_command_line(folder: Path) -> None:
             simbias.load([override, "tracking=none"])
 
 
+@pytest.mark.slow
 def test_in_a_file(folder: Path) -> None:
     head = "# @package _global_\n"
     for group, text, line in (

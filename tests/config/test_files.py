@@ -80,6 +80,7 @@ def test_a_folder_may_have_any_name(tmp_path: Path) -> None:
         assert compose(["bias=mine"], tmp_path / name).hash == compose(["bias=none"]).hash
 
 
+@pytest.mark.slow
 def test_a_file_that_changes_is_read_again(tmp_path: Path) -> None:
     """Compositions are kept; what they were read from may be edited meanwhile, as beside a notebook."""
     texts = {"bias": "_target_: simbias.learning.bias.gp.GaussianProcess\nd: {}", "sweeps": "a: {}"}
@@ -112,6 +113,7 @@ def test_a_pipe_in_place_of_a_config_is_named_where_it_is_asked_for(tmp_path: Pa
     assert compose(["+sweep=smoke"], tmp_path)
 
 
+@pytest.mark.slow
 def test_compositions_are_hydras() -> None:
     """Although options are read once, and values are merged without it."""
     option_files.register()

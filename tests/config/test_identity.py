@@ -46,6 +46,7 @@ def test_an_option_added_with_its_old_behaviour_as_default_changes_no_trial(
     assert own(tmp_path, version="version = 2") != before
 
 
+@pytest.mark.slow
 def test_what_changes_no_result_changes_no_identity() -> None:
     """Nor does a preset in place of its options, one by one."""
     base = compose().hash
@@ -65,6 +66,7 @@ def test_what_changes_no_result_changes_no_identity() -> None:
     assert cells[0] == cells[1] != cells[2]
 
 
+@pytest.mark.slow
 def test_what_may_change_a_result_changes_the_identity() -> None:
     overrides = [
         *("seed=1", "bias.d=2", "bias=none", "method=model_based", "hardware.noise.torque_variance=0.1"),
@@ -88,6 +90,7 @@ def test_a_change_of_one_value_of_an_argument_leaves_trials_with_others_as_they_
     assert bayesian == {"class": "DirectSearch", "version": 2, "strategy": "bayesian"}
 
 
+@pytest.mark.slow
 def test_an_override_of_an_axis_or_what_is_around_it_is_refused() -> None:
     for override, key in (
         ("hardware.noise={torque_variance: 0.1}", "hardware.noise"),

@@ -72,6 +72,7 @@ def test_an_experiment_in_which_nothing_can_fail_is_refused() -> None:
         simbias.load(["evaluation=domain_randomization_30s", "evaluation.seconds=1e-10", "tracking=none"])
 
 
+@pytest.mark.slow
 def test_a_sweep_that_is_too_large_is_refused_at_once() -> None:
     values = list(range(1, 400))
     axes = f"{{bias.d: {values}, hardware.iterations: {values}}}"

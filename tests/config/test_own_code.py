@@ -128,6 +128,7 @@ def test_properties_of_an_own_task_may_be_lists_and_integers_too(monkeypatch: py
         simbias.load([*POINT_MASS, "tracking=none"], OWN_CONF)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("attribute", "given", "line"),
     [

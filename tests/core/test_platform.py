@@ -16,6 +16,7 @@ from simbias.trial.folder import TrialFolder
 GENERIC = {"NUMBA_CPU_NAME": "generic", "OPENBLAS_CORETYPE": "Prescott"}
 
 
+@pytest.mark.slow
 def test_a_platform_tells_what_makes_the_last_bits() -> None:
     """Also what the environment made of the processor; not its model, which makes none."""
     code = "from simbias.core.platform import kind; print(kind())"

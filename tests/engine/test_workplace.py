@@ -24,6 +24,7 @@ def left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("uncompiled")
 def test_leftovers_of_the_dead_are_removed(left: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also by a trial that has ended, which writes nothing, so that it makes no folder of its own."""

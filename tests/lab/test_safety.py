@@ -21,6 +21,7 @@ from simbias.core.records import Array, Rollout
 from simbias.lab.checked_hardware import ExperimentConditions
 from simbias.lab.safety import Safety, SafetyLimitedPolicy, UnsafeError
 from simbias.terminal.preview import describe, first_prediction
+from simbias.trial import prediction
 from simbias.trial.diagnostics import of_safety
 from simbias.trial.folder import EXPERIMENT, OUTCOME, TrialFolder
 from simbias.trial.methods.ideal import Ideal
@@ -135,6 +136,7 @@ def test_a_measured_state_that_violates_a_criterion_aborts(point_mass: Study) ->
     assert (whole.failed_at, whole.failure, stopped) == (aborted.failed_at, "distance", 0)  # it ran on
 
 
+@pytest.mark.slow
 def test_a_limit_of_nothing_is_bad_input() -> None:
     for override, key in {
         "hardware.safety.states={angl: 1}": "hardware.safety",
@@ -190,8 +192,11 @@ def test_the_band_holds_what_is_expected(point_mass: Study) -> None:
 
 
 @pytest.mark.usefixtures("uncompiled")
-def test_draws_have_the_pushes_of_the_task_and_the_noise_of_the_hardware() -> None:
+def test_draws_have_the_pushes_of_the_task_and_the_noise_of_the_hardware(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """What is expected has neither, and starts and models are the same."""
+    monkeypatch.setattr(prediction, "DRAWS", 2)
     quiet = [f"hardware.noise.{kind}_variance=0" for kind in ("position", "angle", "velocity")]
     short, told = ["preset=cartpole_swingup", "task.horizon=50", "task.hold=0.2", "tracking=none"], []
     for pushes, noise in product(([], ["task.pushes=null"]), ([], quiet)):
@@ -229,6 +234,7 @@ def test_preview_shows_and_draws_the_first_experiment(
     assert [path.name for path in folder.iterdir()] == ["preview.png"]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("uncompiled")
 def test_a_policy_beyond_safety_limits_in_simulation_is_told_and_no_success(point_mass: Study) -> None:
     """Searches do not know them."""

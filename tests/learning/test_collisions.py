@@ -74,6 +74,7 @@ def fitted(differences: Differences = "forward", **noise: float) -> Identified:
     return found
 
 
+@pytest.mark.slow
 def test_no_posterior_is_far_wider_than_the_prior() -> None:
     """The ground is harder than the model's: without noise, bounces are outliers by a factor of thousands.
 

@@ -118,6 +118,7 @@ def test_with_fourier_features_draws_have_the_posteriors_moments_where_there_are
         assert (error < 5 * squares.std(axis=0) / np.sqrt(DRAWS) + 2e-4).all(), option
 
 
+@pytest.mark.slow
 def test_periodic_biases_are_the_same_after_a_turn() -> None:
     bias = pendulum().bias.fit(swings())
     turned = UPRIGHT_TO_HANGING + np.array([2 * np.pi, 0.0, 0.0])

@@ -132,6 +132,7 @@ def test_an_input_without_a_limit_needs_a_scale() -> None:
     GaussianProcess(task, input_scale=[1.0, 1.0, 10.0])
 
 
+@pytest.mark.slow
 def test_without_data_the_kernel_is_that_of_no_bias() -> None:
     """Searches before the first experiment are as fast as without learning."""
     kernel = ZeroBias(6).kernel

@@ -62,6 +62,7 @@ def test_motion_without_noise_stays() -> None:
     np.testing.assert_array_equal(smoothed([short], 10)[0], short.states)
 
 
+@pytest.mark.slow
 @given(at=st.integers(40, 160), jump=st.floats(1.0, 1e3))
 @settings(deadline=None)
 def test_a_collision_stays_where_it_is(at: int, jump: float) -> None:

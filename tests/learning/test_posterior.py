@@ -89,6 +89,7 @@ def test_a_robot_at_rest_says_nothing_of_its_parameters(study: Study) -> None:
     np.testing.assert_array_equal(fitted.covariance, np.eye(len(fitted.mode)))
 
 
+@pytest.mark.slow
 def test_strong_motion_determines_no_more_than_there_is() -> None:
     """With a heavier second link, its centre nearer, and a first one to match, the robot moves the same.
 

@@ -103,6 +103,7 @@ def test_lscde_finds_a_known_conditional_density() -> None:
     assert variance[0, 0] == pytest.approx(1.0 + deviation**2, rel=0.25)
 
 
+@pytest.mark.slow
 def test_lscde_is_fitted_on_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
     threads: set[int] = set()
 

@@ -147,6 +147,7 @@ def test_a_drawing_of_ones_own(of_point_mass: tuple[Study, list[Iteration]]) -> 
     assert len(snapshots(study.task, rollouts, [0.0, 1.0], draw_mass).axes) == 2
 
 
+@pytest.mark.slow
 def test_an_animation_shows_all_scenes_and_all_places_of_lines(
     of_point_mass: tuple[Study, list[Iteration]], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -70,6 +70,7 @@ def rest_on_a_cart(theta: list[float], offset: float, limit: float = 1e6) -> Arr
     return np.array([position, velocity])
 
 
+@pytest.mark.slow
 def test_the_integral_removes_a_constant_offset() -> None:
     """Without it, the cart rests at offset / stiffness; with a limited force, it does not wind up."""
     k, d, offset = 4.0, 4.0, 2.0
@@ -103,6 +104,7 @@ ALL = ["filter_seconds=0.02", "integral_rate=1.0", "integrated=[x_p,alpha_f]", "
 ALL += ["constant=0.1"]
 
 
+@pytest.mark.slow
 def test_written_rollouts_are_the_plain_ones() -> None:
     """With all of it off, it is output feedback."""
     settings = [f"policy.{each}" for each in ALL]

@@ -205,6 +205,7 @@ def test_the_kalman_filters_gain_is_where_its_covariance_settles(cartpole: Study
     np.testing.assert_allclose(trusting @ np.eye(4), np.eye(4), atol=0.3)
 
 
+@pytest.mark.slow
 def test_a_kalman_filter_is_that_of_the_inputs_which_hold_the_robot() -> None:
     """As it pitches, a quadrotor moves sideways only while its rotors push, and they cannot pull."""
     study, hover = simbias.load(["preset=quadrotor_square"]), np.full(2, 4.905)
@@ -319,6 +320,7 @@ def tip(study: Study, late: int) -> Array:
     return np.abs(np.array(states)).max(axis=1)
 
 
+@pytest.mark.slow
 def test_a_regulator_bears_later_measurements() -> None:
     plain, ahead = board(), board("policy.latency=0.016")
     assert tip(plain, 0)[-50:].max() < 0.03

@@ -126,6 +126,7 @@ def test_written_it_is_what_it_is_in_numpy(cartpole: Study) -> None:
     assert 100 in ends
 
 
+@pytest.mark.slow
 def test_exported_it_is_what_it_is_in_numpy(cartpole: Study) -> None:
     """In C and Python, over more frames than its table has; files are only made if they agree.
 

@@ -62,6 +62,7 @@ def test_the_limits_are_kept_on_every_draw(study: Study) -> None:
     assert (found.deviations < 1).any()
 
 
+@pytest.mark.slow
 def test_noise_is_in_proportion_to_motion() -> None:
     """Of each state, in whichever unit and whether a limit is declared or not."""
     noises = []
@@ -76,6 +77,7 @@ def test_noise_is_in_proportion_to_motion() -> None:
     np.testing.assert_array_equal(*noises)
 
 
+@pytest.mark.slow
 def test_rotors_are_asked_only_to_push() -> None:
     """From 0 to 12 N, or to a limit of the lab; torques of either sign are as large as they may be."""
     pushes = ["preset=quadrotor_square", "identification=posterior", "bias=none", "tracking=none"]
@@ -195,6 +197,7 @@ def test_recordings_are_measured_when_the_lab_measures(study: Study) -> None:
     assert set(np.flatnonzero(bends) % 5) == {4}
 
 
+@pytest.mark.slow
 def test_a_late_motor_acts_at_once_only_where_a_recording_continues() -> None:
     study = limited("+identification.motors.tau1={delay: 0.02}")
     rig = study.identification.prior(study.nominal)  # type: ignore[attr-defined]
@@ -241,6 +244,7 @@ REFUSED = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("words", "said"), REFUSED)
 def test_a_bad_request_is_refused_in_one_line(
     words: list[str], said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -389,6 +389,7 @@ def test_what_each_recording_has_of_its_own_is_in_a_table(assessment: Assessment
     assert dict(models(identified))["identified"].startswith(said)
 
 
+@pytest.mark.slow
 def test_files_of_draws_are_of_the_table_of_draws(tmp_path: Path) -> None:
     """Of a gain and of a size, which multiply; also behind sensors, of which the files say that they lack."""
     task, uncertainty = cart_pole(), {"push.gain": 0.3, "tip.mass": 0.1, "pole.size": 0.2}
@@ -443,6 +444,7 @@ def test_what_is_measured_is_seen_below_a_prediction_that_is_right(assessment: A
     assert [axes.get_ylabel() for axes in figure.axes] == error_names(assessment)[-4:]
 
 
+@pytest.mark.slow
 def test_errors_of_many_states_are_drawn_in_rows() -> None:
     wrong, none = (np.ones((2, 12)),), (np.zeros((2, 12, 12)),)
     twelve = SimpleNamespace(states=3 * cart_pole().states)
@@ -528,6 +530,7 @@ def test_the_command_tells_and_writes(
         assert capsys.readouterr().err.startswith(f"simbias: {said}")
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.* never changes")
 def test_nothing_is_fitted_to_what_is_held_out(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """However a file is named, also as one of a folder; without another one, there is nothing to fit to."""
@@ -548,6 +551,7 @@ def test_nothing_is_fitted_to_what_is_held_out(folder: Path, capsys: pytest.Capt
     assert capsys.readouterr().err == "simbias: --held-out: leaves no recording\n"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "option", "motors"),
     [

@@ -164,6 +164,7 @@ def test_a_goal_moves_and_an_angle_wraps_by_a_turn_in_its_unit(unit: str, half: 
     np.testing.assert_allclose(unwound(angles, task.states[:2]), turning, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [

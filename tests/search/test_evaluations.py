@@ -148,6 +148,7 @@ def test_result_is_the_sequential_searchs(name: str, limit: int, seed: int, shif
     assert ahead.stopped_by == in_turn.stopped_by
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "waste"), [("nlopt_direct", 0.05), ("cma", 0.0)])
 def test_few_guesses_are_wrong(name: str, waste: float) -> None:
     objective = Counting()
@@ -182,6 +183,7 @@ def test_a_search_that_changes_its_mind_is_noticed() -> None:
         look_ahead(capricious, evaluations)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SEARCHES)
 def test_a_search_ends_with_its_steps_and_in_time(name: str) -> None:
     """After the batch in which they are used up; its best point is the best of all that it counts."""

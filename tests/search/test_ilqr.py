@@ -171,6 +171,7 @@ def test_where_all_random_inputs_fail_a_plan_begins_at_rest(uncompiled: None) ->
     assert study.passes(study.simulate(theta))
 
 
+@pytest.mark.slow
 def test_to_a_goal_that_moves_one_plan_begins_at_rest(monkeypatch: pytest.MonkeyPatch) -> None:
     begun = list[np.random.Generator | None]()
     monkeypatch.setattr(Shooting, "plan", lambda self, rng: begun.append(rng))

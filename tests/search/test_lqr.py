@@ -254,6 +254,7 @@ DRY = {
 }
 
 
+@pytest.mark.slow
 def test_without_dry_friction_all_else_stays() -> None:
     for overrides, dry in DRY.items():
         study, rng = simbias.load([*overrides, "tracking=none"]), np.random.default_rng(0)
@@ -317,6 +318,7 @@ def test_the_integral_rests_at_the_limit(cartpole: Study) -> None:
     assert memory[0] == pytest.approx(0.1 * cartpole.task.time_step)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_is_named(cartpole: Study) -> None:
     lqi = simbias.load(["method=lqi", "tracking=none"])
     with pytest.raises(ConfigError, match=r"^method: OutputFeedback imitates no LQI"):

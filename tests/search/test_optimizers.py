@@ -154,6 +154,7 @@ def boxes(draw: st.DrawFn) -> tuple[Array, Array, Array]:
     return lower, lower + width, target
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CONFIGS)
 @settings(max_examples=4, deadline=None)
 @given(box=boxes(), limit=st.integers(1, 150), seed=st.integers(0, 2**32))
@@ -358,6 +359,7 @@ class ShiftedSphere(Objective):
         return self.together(thetas + self._rng.standard_normal(5))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["cma", "hybrid"])
 def test_fresh_scenarios_in_each_generation_lead_to_the_known_optimum(name: str) -> None:
     """The best mean is found, the same by seed, and better than what the last scenarios alone say."""
@@ -384,6 +386,7 @@ class Funnel(Objective):
         return np.minimum(1.0, np.linalg.norm(thetas - SHIFT, axis=1) / self.radius)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["cma", "hybrid"])
 def test_a_search_begins_where_its_first_stage_ended(name: str) -> None:
     """The first stage ends at its first cost below the target, which is within the funnel."""

@@ -38,6 +38,7 @@ def exponentials(z):
 exponentials = from_python(exponentials)
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=30)  # the first example compiles
 @given(rows, rows, st.floats(-10, 10, width=32))
 def test_operations_are_numpys(a: np.ndarray, b: np.ndarray, scale: float) -> None:
@@ -88,6 +89,7 @@ def all_of(x):
     return out
 
 
+@pytest.mark.slow
 def test_agrees_with_the_library() -> None:
     """Within an ulp and a half; also around the zeros, where the reduction cancels most, or 1e-16 there."""
     zeros = np.arange(-60_000, 60_001) * (np.pi / 2)

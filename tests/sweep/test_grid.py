@@ -201,6 +201,7 @@ def test_points_need_not_set_the_same_keys() -> None:
             read_axis("cell", {"points": points})
 
 
+@pytest.mark.slow
 def test_an_axis_may_add_a_key() -> None:
     """So the paper's figures are had of robots whose quantities have other names."""
     noise = "sweep.axes.noise.keys=+hardware.noise.force_variance"
@@ -230,6 +231,7 @@ def test_the_sweep_that_the_docs_show_is_one(tmp_path: Path) -> None:
     assert "experiments" in sweep.figures
 
 
+@pytest.mark.slow
 def test_a_dry_run_needs_no_plus(conf: Path) -> None:
     """Whether the sweep's file names it or not; nor may it have one only where the file leaves it out."""
     values = [f"sweep.axes.{axis}.values=[0.1]" for axis in ("torque", "error")]

@@ -95,6 +95,7 @@ def test_errors_name_the_figure(brief: Study, tmp_path: Path, monkeypatch: pytes
     assert {outcome.successes for outcome in store.kept} == {(True, True)}
 
 
+@pytest.mark.slow
 def test_hardware_without_starts_has_no_grid_of_them(brief: Study, monkeypatch: pytest.MonkeyPatch) -> None:
     sweep = expand(["+sweep=fig7"])
     x, y = Range("alpha_w", -0.1, 0.1, 2), Range("alpha_b", -0.1, 0.1, 2)

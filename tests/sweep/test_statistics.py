@@ -146,6 +146,7 @@ def test_measures_are_those_that_the_report_names() -> None:
     assert "iterations: likewise" in legend(sweep, results.in_order({}, sweep))
 
 
+@pytest.mark.slow
 def test_interval_covers_the_mean_in_most_samples() -> None:
     """It does not depend on the order of the values; all draws of a large cell would take 160 MB."""
     rng = np.random.default_rng(0)

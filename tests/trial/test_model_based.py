@@ -70,6 +70,7 @@ def test_an_iteration_may_stop_at_its_first_failure(point_mass: Study) -> None:
     assert len(first.experiments) == 1
 
 
+@pytest.mark.slow
 def test_stopping_early_changes_no_later_start(point_mass: Study) -> None:
     """Iterations compare on common random numbers."""
     whole, stopped = (
@@ -198,6 +199,7 @@ def test_a_search_may_begin_with_the_last_policy_or_with_that_of_a_file(
             method.check(study)
 
 
+@pytest.mark.slow
 def test_a_search_that_is_replayed_designs_no_lqr(
     point_mass: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -225,6 +227,7 @@ def test_success_may_ask_for_more_passes(point_mass: Study) -> None:
         ModelBased(passes=1)
 
 
+@pytest.mark.slow
 def test_random_experiments_come_first_and_are_learned_from(point_mass: Study) -> None:
     """Inputs at the knots are at the limits; the first search knows what was learned; they count."""
     study = replace(point_mass, method=ModelBased(max_iterations=1, random_experiments=2))

@@ -27,6 +27,7 @@ def study(*overrides: str) -> Study:
     return simbias.load([*SHORT, *overrides], OWN_CONF)
 
 
+@pytest.mark.slow
 def test_it_changes_nothing_in_a_trial() -> None:
     plain = study()
     tested = study("policy_test.episodes=3", "policy_test.long_episodes=1", "policy_test.long_seconds=9")

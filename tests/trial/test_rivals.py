@@ -67,6 +67,7 @@ def test_ideal_holds_what_the_model_does_not(point_mass: Study) -> None:
     assert record.iterations[0].parameters[2] == pytest.approx(-2.0, abs=0.7)  # the wind, balanced
 
 
+@pytest.mark.slow
 def test_a_search_on_hardware_moves_no_robot_unasked(point_mass: Study) -> None:
     """Nor one that is asked for by `study.ask()`, or held by limits, which the search keeps."""
     ideal = replace(point_mass, method=Ideal(rollouts=1))
