@@ -208,7 +208,7 @@ class Reader:
                     f"{column}: got {usual:.3g} {each.unit} {told}: is a unit wrong, or a column?"
                 )
             if (most := values.max()) > TOLERANCE * limit:
-                notes.append(f"up to {most:.3g} {each.unit} {told}")
+                notes.append(f"up to {most:.3g} {each.unit}, the mean over a frame, {told}")
         return notes
 
     def _still(self, pieces: list[Rollout]) -> list[str]:

@@ -284,7 +284,8 @@ def test_inputs_beyond_their_limits_are_told_or_refused(
     scale = study.task.input_limit[0] / table["tau1"].abs().max()
     assert not any("limited" in note for note in read(study, table, tmp_path).notes)
     found = read(study, table.assign(tau1=1.2 * scale * table["tau1"]), tmp_path)
-    assert any(re.fullmatch(r"up to \S+ N m of tau1, which is limited to \S+ N m", e) for e in found.notes)
+    said = r"up to \S+ N m, the mean over a frame, of tau1, which is limited to \S+ N m"
+    assert any(re.fullmatch(said, note) for note in found.notes)
     with one_line(r"one\.csv: column I1: got \S+ N m of tau1, which is limited to", HardwareError):
         read(study, table.assign(I1=1e3 * table["tau1"]).drop(columns="tau1"), tmp_path, tau1="I1")
 
