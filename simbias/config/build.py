@@ -23,6 +23,7 @@ from simbias.core.ranges import Seed
 from simbias.core.records import Array
 from simbias.core.robot import check_quantities
 from simbias.trial.budget import Budget
+from simbias.trial.origin import model_digest
 from simbias.trial.policy_test import PolicyTest
 from simbias.trial.study import Study
 
@@ -70,7 +71,7 @@ def build(composition: Composition) -> Study:
             beside = of_robot if group in OF_ROBOTS else given
             arguments = {key: beside[key] for key in BESIDE.get(group, PROVIDED)}
             components[group] = construct(config[group], contract, group, own, **arguments)
-    return Study(
+    study = Study(
         task=task,
         nominal=nominal,
         **components,
@@ -79,6 +80,17 @@ def build(composition: Composition) -> Study:
         hardware_of=partial(_hardware, config[HARDWARE], own),
         conditions=conditions(whole, task, timeout),
     )
+    _check_known(study, config["identification"].get("known") or {})
+    return study
+
+
+def _check_known(study: Study, known: Mapping[str, Any]) -> None:
+    """Refuse a posterior that is of another nominal model than the study's."""
+    if known.get("model") not in (None, model_digest(study)):
+        problem = (
+            "is of a nominal model with other values or files: identify again (or leave out its `model`)"
+        )
+        raise ConfigError("identification.known", problem)
 
 
 def build_task(config: Any, own: Own) -> Task:

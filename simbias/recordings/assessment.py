@@ -20,6 +20,7 @@ from simbias.recordings.findings import Finding, findings
 from simbias.recordings.horizons import Prediction, if_reversed, overall, predictions
 from simbias.recordings.parts import Part, others, parts
 from simbias.recordings.reach import Reach, beyond
+from simbias.trial.origin import model_digest
 from simbias.trial.study import Study
 
 OTHER_WINDOWS = (0.5, 2.0)  # durations of predictions, over the chosen one
@@ -35,6 +36,7 @@ class Assessment:
     name: str  # the task's, as a config chooses it
     task: Task
     nominal: Nominal
+    model: str  # digest of the nominal model
     recordings: Sequence[str]  # that were not held out
     identified: Identified  # from all of them
     parts: Sequence[Part]  # of these, each predicted by a model of the others
@@ -178,6 +180,7 @@ def assess(
         study.choices["task"],
         study.task,
         study.nominal,
+        model_digest(study),
         list(recordings),
         identified,
         all_parts,

@@ -88,7 +88,7 @@ def write(
         told = trajectory(assessment.task, excitation.rollout)
         texts[EXCITATION] = told.to_csv(index=False, float_format="%.6g")
     texts |= {f"{name}.xml": text for name, text in models(assessment.identified)}
-    lines = [head(folder, option), *option_lines(assessment.identified.elsewhere(), identification)]
+    lines = [head(folder, option), *option_lines(assessment, identification)]
     for name, text in texts.items():
         (folder / name).write_text(text)
     option.write_text("\n".join(lines) + "\n")
@@ -176,8 +176,9 @@ def head(folder: Path, option: Path) -> str:
     return f"{FIRST_LINE}\n# Results: {json.dumps(results)}"
 
 
-def option_lines(identified: Identified, identification: dict[str, Any]) -> Iterator[str]:
+def option_lines(assessment: Assessment, identification: dict[str, Any]) -> Iterator[str]:
     """The option's lines: how it was identified, and the posterior in coordinates of the declared priors."""
+    identified = assessment.identified.elsewhere()
     yield "# 5% .. most probable .. 95%:"
     for e in identified.estimates:
         yield f"# {brief(e.name)}: {e.low:.5g} .. {e.value:.5g} .. {e.high:.5g} {brief(e.unit)}"
@@ -189,6 +190,7 @@ def option_lines(identified: Identified, identification: dict[str, Any]) -> Iter
     yield "known:"
     yield f"  parameters: {json.dumps(identified.known.parameters)}"
     yield f"  declared: {json.dumps(identified.known.declared)}"
+    yield f"  model: {json.dumps(assessment.model)}"
     yield f"  mode: {json.dumps(identified.known.mode)}"
     yield "  spread:"
     for row in identified.known.spread:

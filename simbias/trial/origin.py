@@ -6,6 +6,7 @@ A comment is no other trial, so what changed is told, and the user decides wheth
 from __future__ import annotations
 
 import getpass
+import json
 import logging
 import platform
 import re
@@ -54,6 +55,14 @@ def digests(study: Study) -> dict[str, str]:
             contents.setdefault("/".join(file.parts[-2:]), []).append(file.read_bytes())
     files = {name: short_digest(b"".join(each)) for name, each in contents.items()}
     return {**study.composition.code, **files}
+
+
+def model_digest(study: Study) -> str:
+    """Digest of the nominal model's class, values and files, whichever of the values are uncertain."""
+    fields = study.composition.identity_fields["nominal"].items()
+    values = {key: value for key, value in fields if key not in ("file", "uncertainty", "sampled")}
+    files = [Path(file).read_bytes() for file in getattr(study.nominal, "source_files", ())]
+    return short_digest(b"".join([json.dumps(values, sort_keys=True, default=str).encode(), *files]))
 
 
 def changed_code(before: Mapping[str, Any], study: Study) -> str:

@@ -60,6 +60,10 @@ class Origin(Protocol):
         """Keys of the config whose values come from environment variables."""
 
     @property
+    def identity_fields(self) -> Mapping[str, Any]:
+        """The config as far as it affects a trial's result."""
+
+    @property
     def hash(self) -> str:
         """The trial's identity: a hash of everything that affects its result."""
 

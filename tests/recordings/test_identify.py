@@ -308,10 +308,15 @@ def test_a_trial_begins_with_what_was_identified(
     first = attached.first_model().nominal
     assert isinstance(first, Identified)
     assert first.estimates == assessment.identified.estimates
-    moved = simbias.load([*options, "nominal.drives.damping_1=0.002"], tmp_path / "conf")
-    declared = r"^identification\.known: is of damping_1 declared as \S+ N m s/rad .*; it is 0\.002 N m"
+    heavier = [*options, "nominal.drives.damping_1=0.002"]
+    with pytest.raises(ConfigError, match=r"^identification\.known: is of a nominal model with other values"):
+        simbias.load(heavier, tmp_path / "conf")
+    wider = simbias.load([*options, "nominal.uncertainty.damping=0.03"], tmp_path / "conf")
+    declared = (
+        r"^identification\.known: is of damping_1 declared as 0 N m s/rad \(half_normal of spread 0\.02\);"
+    )
     with pytest.raises(ConfigError, match=declared):
-        rehearse(moved)
+        rehearse(wider)
     np.testing.assert_array_equal(first.covariance, assessment.identified.covariance)
     robot, _ = truth(study.nominal, np.random.default_rng(4))
     more = attached.identification.fit(attached.nominal, [experiment(robot, np.random.default_rng(9))])
@@ -328,13 +333,14 @@ def test_a_trial_begins_with_what_was_identified(
         )
 
 
-def test_names_of_a_model_are_no_keys_of_the_option(study: Study) -> None:
+def test_names_of_a_model_are_no_keys_of_the_option(study: Study, assessment: Assessment) -> None:
     """An MJCF file may name its bodies as it likes, line breaks included."""
     size = len(study.nominal.parameters)
     identified = Identified(study.nominal, np.zeros(size), np.eye(size), {})
     first, *others = identified.estimates
     identified.estimates = (first._replace(name="pole\n_target_: os.system\u2028#"), *others)
-    written = yaml.safe_load("\n".join(option_lines(identified, {"rounds": 2, "differences": "forward"})))
+    made = replace(assessment, identified=identified)
+    written = yaml.safe_load("\n".join(option_lines(made, {"rounds": 2, "differences": "forward"})))
     assert written.pop("known")["mode"] == identified.known.mode
     assert written == {"rounds": 2, "differences": "central", "smoothing": 0.05}  # as `identify` identifies
 

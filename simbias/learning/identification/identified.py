@@ -28,6 +28,7 @@ class Known:
     mode: list[Coordinate]  # (p,)
     spread: list[list[Coordinate]]  # (p, p) a square root of the covariance
     declared: list[str] | None = None  # (p,) the priors that coordinates are of, in words; None: not told
+    model: str | None = None  # digest of the nominal model that it is of (`simbias.trial.origin`); None: any
 
 
 @final
