@@ -20,7 +20,6 @@ from simbias.recordings.findings import Finding, findings
 from simbias.recordings.horizons import Prediction, if_reversed, overall, predictions
 from simbias.recordings.parts import Part, others, parts
 from simbias.recordings.reach import Reach, beyond
-from simbias.trial.origin import model_digest
 from simbias.trial.study import Study
 
 OTHER_WINDOWS = (0.5, 2.0)  # durations of predictions, over the chosen one
@@ -33,10 +32,7 @@ REVERSED = 0.9  # times the nominal model's errors, below which an input's sign 
 class Assessment:
     """A model identified from recordings, and what is known of it."""
 
-    name: str  # the task's, as a config chooses it
-    task: Task
-    nominal: Nominal
-    model: str  # digest of the nominal model
+    study: Study  # that is `prepared`
     recordings: Sequence[str]  # that were not held out
     identified: Identified  # from all of them
     parts: Sequence[Part]  # of these, each predicted by a model of the others
@@ -45,6 +41,16 @@ class Assessment:
     findings: Sequence[Finding]
     predictions: Sequence[Prediction]
     reversed: Mapping[str, float]  # errors of the nominal model with an input's sign reversed, if far smaller
+
+    @property
+    def task(self) -> Task:
+        """The task of the robot."""
+        return self.study.task
+
+    @property
+    def nominal(self) -> Nominal:
+        """The nominal model as it was declared."""
+        return self.study.nominal
 
     @property
     def judged(self) -> list[Part]:
@@ -177,10 +183,7 @@ def assess(
     pairs = zip(alone, rest, strict=True)
     learned = [(model.elsewhere(), apart.rollouts) for model, apart in pairs] if kept else []
     return Assessment(
-        study.choices["task"],
-        study.task,
-        study.nominal,
-        model_digest(study),
+        study,
         list(recordings),
         identified,
         all_parts,

@@ -25,6 +25,7 @@ from simbias.recordings.excitation import Excitation
 from simbias.recordings.findings import at_bound
 from simbias.recordings.report import report
 from simbias.robots.mujoco.model import Mujoco
+from simbias.trial.origin import model_digest
 from simbias.trial.study import Study
 
 GROUP, OPTION = "identification", "identified"
@@ -190,7 +191,7 @@ def option_lines(assessment: Assessment, identification: dict[str, Any]) -> Iter
     yield "known:"
     yield f"  parameters: {json.dumps(identified.known.parameters)}"
     yield f"  declared: {json.dumps(identified.known.declared)}"
-    yield f"  model: {json.dumps(assessment.model)}"
+    yield f"  model: {json.dumps(model_digest(assessment.study))}"
     yield f"  mode: {json.dumps(identified.known.mode)}"
     yield "  spread:"
     for row in identified.known.spread:

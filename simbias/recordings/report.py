@@ -14,7 +14,10 @@ MOST = 5  # parts that are drawn
 
 def report(assessment: Assessment, excitation: Excitation | str, notes: Sequence[str] = ()) -> str:
     """The report of an assessment, as HTML in one file, with notes on its recordings."""
-    return page(f"{assessment.name}, identified from recordings", _parts(assessment, excitation, notes))
+    return page(
+        f"{assessment.study.choices['task']}, identified from recordings",
+        _parts(assessment, excitation, notes),
+    )
 
 
 def _parts(assessment: Assessment, excitation: Excitation | str, notes: Sequence[str]) -> Iterator[str]:

@@ -429,10 +429,10 @@ def test_the_page_is_one_file_and_runs_nothing(assessment: Assessment) -> None:
         assessment, predictions=[replace(first, nominal=first.identified, identified=first.nominal), *rest]
     )
     assert f" It errs more after {first.seconds:g} s." in verdict(worse)
-    text = report(replace(assessment, name="<b>title</b>"), "none", ["one: vel2 is estimated from pos2"])
+    text = report(assessment, "none", ["one: vel2 is estimated from pos2"])
     assert "one: vel2 is estimated from pos2" in text
     assert "<script" not in text
-    assert "<b>title" not in text
+    assert "<title>double_pendulum, identified from recordings</title>" in text
     assert "&lt;script&gt;two" in text
     assert not re.search(r"(?:src|href)=\"(?!data:)", text)
     assert text.count("<img ") == 4
