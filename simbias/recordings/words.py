@@ -59,7 +59,7 @@ def _reversed(assessment: Assessment) -> str:
     """A sentence for each input whose recorded sign seems to be the model's reversed; else ""."""
     return "".join(
         f" With the sign of {name} reversed, the nominal model errs {times:.2f} times as much: "
-        "check which sign was recorded."
+        "check the recorded sign and column."
         for name, times in assessment.reversed.items()
     )
 

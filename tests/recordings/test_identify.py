@@ -128,7 +128,7 @@ def test_an_input_whose_sign_is_the_other_way_is_named(assessment: Assessment, s
     told = verdict(replace(assessment, reversed={name: times}))
     assert told.endswith(
         f" With the sign of {name} reversed, the nominal model errs {times:.2f} times as much: "
-        "check which sign was recorded."
+        "check the recorded sign and column."
     )
 
 
