@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -23,17 +25,18 @@ def write_report(folder: Path, config_dir: Path | str | None = None, allow: Sequ
     ConfigError
         If the folder holds neither, or what it holds cannot be read or written.
     """
-    if (folder / TRIAL).is_file():
-        pages = {folder: trial_page(folder, config_dir, allow)}
-    elif (folder / SWEEP).is_file():
-        pages = {folder: sweep_page(SweepFolder(folder))}
-    else:
-        pages = {sweep.path: sweep_page(sweep) for sweep in sweep_folders(folder)}
-    if not pages:
+    alone = [folder] if (folder / TRIAL).is_file() or (folder / SWEEP).is_file() else []
+    folders = alone or [sweep.path for sweep in sweep_folders(folder)]
+    if not folders:
         raise ConfigError(str(folder), "is the folder of no trial or sweep, as trials/7a29f4c5425f")
-    for own, page in pages.items():
+    for own in folders:  # before minutes of drawing
+        if not os.access(own, os.W_OK):
+            raise ConfigError(str(own / FILE), f"cannot be written ({os.strerror(errno.EACCES)})")
+    for own in folders:
+        trial = (own / TRIAL).is_file()
+        page = trial_page(own, config_dir, allow) if trial else sweep_page(SweepFolder(own))
         try:
             write_whole(own / FILE, page.encode())
         except OSError as error:
             raise ConfigError(str(own / FILE), f"cannot be written ({error.strerror})") from error
-    return [own / FILE for own in pages]
+    return [own / FILE for own in folders]

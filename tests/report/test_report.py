@@ -103,6 +103,11 @@ def test_what_files_say_is_text_and_never_markup(
         write_report(copy)
     for name in ("trial.json", "attempts.jsonl"):
         (copy / name).write_bytes((trial / name).read_bytes())
+    with monkeypatch.context() as patch:
+        patch.setattr("os.access", lambda path, mode: path != copy)
+        patch.setattr("simbias.report.folder.trial_page", None)  # nothing is drawn before
+        with pytest.raises(ConfigError, match=r"report\.html: cannot be written"):
+            write_report(copy)
     assert "Interrupted after 0 hardware experiments" in write_report(copy)[0].read_text()
     for file in trial.iterdir():
         if file.is_file():
