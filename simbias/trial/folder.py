@@ -158,11 +158,13 @@ def withdraw(experiment: Path, reason: str = "") -> Withdrawal:
     Raises
     ------
     ConfigError
-        If the file is no experiment that counts, or a process is running the trial.
+        If the file is no experiment that counts, the trial's trial.json cannot be read, or a process is
+        running the trial.
     """
     folder = TrialFolder(experiment.parent)
     if not (folder.path / TRIAL).exists():
         raise ConfigError(str(experiment), "is in no trial's folder")
+    folder.description()  # without which it could not be resumed
     with locked(folder.path / LOCK, LOCK_SECONDS, running(folder.path)):
         counted = [file.name for file in folder.steps()]
         experiments = [name for name in counted if name.endswith((EXPERIMENT, EPISODE))]

@@ -21,7 +21,7 @@ from simbias.core.records import Array, Rollout
 from simbias.lab.requests.manual import Manual
 from simbias.trial import folder as folders
 from simbias.trial.disk import LOCK, locked
-from simbias.trial.folder import ATTEMPTS, OUTCOME, TrialFolder, withdraw
+from simbias.trial.folder import ATTEMPTS, OUTCOME, TRIAL, TrialFolder, withdraw
 from simbias.trial.run import TrialRecord, read_trial, run_trial
 from simbias.trial.study import Study
 from simbias.trial.summary import Outcome
@@ -169,6 +169,11 @@ def test_what_is_no_experiment_that_counts_is_one_line(
     with pytest.raises(ConfigError, match="is in no trial's folder"):
         withdraw(tmp_path / LOOSE)
     assert not (tmp_path / LOCK).exists()
+    trial, right = folder / TRIAL, (folder / TRIAL).read_bytes()
+    trial.write_text("{")
+    with pytest.raises(ConfigError, match=r"trial\.json: cannot be read"):
+        withdraw(folder / "0001_experiment.npz")
+    trial.write_bytes(right)
     held = locked(folder / LOCK, 0, ConfigError("", ""))
     with held, pytest.raises(ConfigError, match="another process is running this trial"):
         withdraw(folder / "0001_experiment.npz")
