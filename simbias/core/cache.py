@@ -6,6 +6,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 
@@ -32,7 +33,8 @@ def _parents(first: tuple[str, ...]) -> Iterator[Path]:
     """Possible parents of a cache folder, the best first."""
     yield from map(Path, first)
     yield Path(__file__).parent.parent / "__pycache__"
-    yield Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "simbias"
+    with suppress(RuntimeError):  # a user without a home, as in some containers
+        yield Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "simbias"
     yield _private()
 
 

@@ -31,7 +31,11 @@ IMPATIENT = {"MLFLOW_HTTP_REQUEST_MAX_RETRIES": "0", "MLFLOW_HTTP_REQUEST_TIMEOU
 LOGGERS = ("mlflow", "alembic", "sqlalchemy.pool")  # they log, with a traceback, what is raised too
 OTHER_VERSION = "of another version of MLflow; update MLflow, or make a copy and run `mlflow db upgrade URI`"
 NO_FOLDER = "MLflow no longer uses folders as stores; sqlite:///FILE works, and the address of a server"
-KNOWN = {"out-of-date database schema": OTHER_VERSION, "filesystem tracking backend": NO_FOLDER}
+KNOWN = {
+    "out-of-date database schema": OTHER_VERSION,
+    "filesystem tracking backend": NO_FOLDER,
+    "determine home directory": "MLflow needs a home directory; HOME names one",
+}
 DATABASE_SERVERS = ("postgresql", "mysql", "mssql")  # that MLflow's documentation names
 SQLITE = re.compile(r"sqlite(\+\w+)?:(//)?(/(?P<file>[^?]*))?(\?.*)?")
 ARTIFACTS = "mlartifacts"  # folder of a SQLite store's files, beside it
@@ -66,9 +70,9 @@ def reaching(uri: str) -> Iterator[None]:
     """MLflow quiet and impatient; what is raised, as a line that names the store."""
     for name, value in QUIET.items():
         os.environ.setdefault(name, value)
-    import mlflow  # lazily: it takes a second  # noqa: F401
-
     try:
+        import mlflow  # lazily: it takes a second  # noqa: F401
+
         with _environment(IMPATIENT), ExitStack() as stack:
             for name in LOGGERS:
                 stack.enter_context(silent(name))

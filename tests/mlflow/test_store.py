@@ -6,6 +6,7 @@ import os
 import shutil
 import socket
 import sqlite3
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import closing
@@ -111,6 +112,15 @@ def test_a_store_that_cannot_be_used_is_one_quick_line_that_names_it(tmp_path: P
     assert (tmp_path / "text").read_text() == "no database " * 100
     with closing(sqlite3.connect(tmp_path / "other")) as database:
         assert database.execute("SELECT name FROM sqlite_master").fetchall() == [("mine",)]
+
+
+def test_a_user_without_a_home_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without one, MLflow cannot be imported."""
+    (tmp_path / "mlflow.py").write_text("raise RuntimeError('Could not determine home directory.')")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "mlflow")
+    with one_line(r"tracking\.uri: sqlite:///mlflow\.db: MLflow needs a home directory; HOME names one"):
+        store.connect("sqlite:///mlflow.db", "mine")
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write anywhere")

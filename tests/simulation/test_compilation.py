@@ -10,6 +10,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from textwrap import dedent
 from types import ModuleType
+from unittest.mock import Mock
 
 import llvmlite.binding
 import numba
@@ -137,6 +138,11 @@ def test_nothing_is_read_from_a_folder_of_another_user(tmp_path: Path, monkeypat
     private = tmp_path / f"simbias-{os.getuid()}"
     assert compilation._folder() == private / "closed_loops"
     assert private.stat().st_mode & 0o077 == 0
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    with monkeypatch.context() as patch:  # a user without a home, as in some containers
+        patch.setattr(cache.Path, "home", Mock(side_effect=RuntimeError))
+        assert compilation._folder() == private / "closed_loops"
+    monkeypatch.setenv("XDG_CACHE_HOME", "/proc/nowhere")
     private.chmod(0o777)
     with pytest.raises(OSError, match="is another user's; XDG_CACHE_HOME names a folder"):
         compilation._folder()
