@@ -209,11 +209,17 @@ class FolderRecord(Record):
         return str(file)
 
     def stop(self, summary: TrialSummary, episodes: str | None = None) -> None:
-        """Keep how the trial ended, or how this attempt stopped; `episodes` is the test's CSV."""
+        """Keep how the trial ended, or how this attempt stopped; `episodes` is the test's CSV.
+
+        Of a trial that had ended before, only this CSV is written, where it is not that of the same test.
+        """
+        ended = None if self._writes else self.folder.summary()
+        if episodes is not None and (ended is None or ended.test_words == summary.test_words):
+            file, content = self.folder.numbered(EPISODES), episodes.encode()
+            if not file.is_file() or file.read_bytes() != content:
+                write_whole(file, content)
         if not self._writes:
             return
-        if episodes is not None:
-            write_whole(self.folder.numbered(EPISODES), episodes.encode())
         if summary.outcome.final:
             write_json(self.folder.numbered(OUTCOME), summary.as_json())
         else:

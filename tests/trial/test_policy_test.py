@@ -13,6 +13,7 @@ from records import assert_equal, timeless
 import simbias
 from simbias.core import HardwareError
 from simbias.core.records import Rollout
+from simbias.trial.folder import EPISODES
 from simbias.trial.observer import Observer
 from simbias.trial.policy_test import Episode, PolicyTest, PolicyTestResult, episodes_csv, run_policy_test
 from simbias.trial.run import run_trial
@@ -51,6 +52,18 @@ def test_a_trial_that_has_ended_without_it_stays_so(tmp_path: Path, caplog: pyte
     assert (again.summary, again.policy_test) == (ended.summary, None)
     assert "ended without what this command asks for" in caplog.text
     assert sorted(tmp_path.iterdir()) == files
+
+
+def test_its_file_is_written_anew_where_it_was_damaged(tmp_path: Path) -> None:
+    """But not by a command that asks for another test."""
+    tested = ("policy_test.episodes=3", "policy_test.long_episodes=1", "policy_test.long_seconds=9")
+    run_trial(study(*tested), tmp_path)
+    right = (tmp_path / EPISODES).read_bytes()
+    (tmp_path / EPISODES).write_bytes(right[:-9])
+    run_trial(study(*tested[:2], "policy_test.long_seconds=10"), tmp_path)
+    assert (tmp_path / EPISODES).read_bytes() == right[:-9]
+    run_trial(study(*tested), tmp_path)
+    assert (tmp_path / EPISODES).read_bytes() == right
 
 
 def test_what_raises_in_an_episode_is_said_to_be_one(monkeypatch: pytest.MonkeyPatch) -> None:
