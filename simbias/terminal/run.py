@@ -38,7 +38,7 @@ def _run_study(study: Study, store: Tracking, again: str) -> int:
     """Run a trial as far as it gets, resume or replay it."""
     folder = store.trial_folder(study.hash)
     export = store.export_trial(folder) if folder else Export()
-    replayed = folder is not None and TrialFolder(folder).ended
+    replayed = folder is not None and _ended(TrialFolder(folder))
     if folder is not None and (changed := changed_since(study, folder)):
         print(f"simbias: {changed}", file=sys.stderr)
     try:
@@ -64,3 +64,12 @@ def _run_study(study: Study, store: Tracking, again: str) -> int:
     trace = f"; traceback in {file}" if (file := traceback_file(summary, record.traceback)) else ""
     print(f"simbias: {summary.reason} ({kept}{trace}; resume with:  {again})", file=sys.stderr)
     return WAITING if summary.outcome is Outcome.WAITING else FAILED
+
+
+def _ended(folder: TrialFolder) -> bool:
+    """Whether a trial has ended; an outcome that cannot be read is told, as it follows from the steps."""
+    try:
+        folder.summary()
+    except ConfigError as error:
+        print(f"simbias: {error}; it is made again from the steps", file=sys.stderr)
+    return folder.ended
