@@ -28,7 +28,7 @@ from simbias.trial.origin import provenance, tell_what_is_in_clear
 from simbias.trial.run import TrialRecord, read_trial
 from simbias.trial.summary import Outcome, TrialSummary
 
-DAMAGED = "simbias: %s; the trial is run again"
+DAMAGED = "simbias: %s; the trial counts as unfinished"
 MIXED = "simbias: trials of this sweep are from %d platforms, so their last bits may differ: %s"
 # First words on a sweep.
 RUNNING, DONE, INTERRUPTED = "**Running**", "**Done**", "**Interrupted**"

@@ -19,7 +19,7 @@ from simbias.core.messages import with_type
 from simbias.core.platform import package_digest
 from simbias.engine.workplace import temporary_folder
 from simbias.trial.disk import write_whole
-from simbias.trial.folder import OUTCOME, TrialFolder
+from simbias.trial.folder import OUTCOME, TRIAL, TrialFolder
 from simbias.trial.run import run_trial
 from simbias.trial.summary import Outcome, TrialSummary
 
@@ -94,10 +94,10 @@ def lost(reason: str) -> Result:
 
 
 def pack(folder: Path) -> bytes:
-    """A trial's folder as a zip file, its outcome last."""
-    stream, files = io.BytesIO(), TrialFolder(folder).files()
+    """A trial's folder as a zip file, trial.json first and its outcome last, as they were written."""
+    stream, files, last = io.BytesIO(), TrialFolder(folder).files(), Path(OUTCOME).stem
     with zipfile.ZipFile(stream, "w") as archive:
-        for file in sorted(files, key=lambda file: file.name.startswith(Path(OUTCOME).stem)):
+        for file in sorted(files, key=lambda file: (file.name.startswith(last), file.name != TRIAL)):
             archive.write(file, file.relative_to(folder).as_posix())
     return stream.getvalue()
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from simbias.core import Hardware, Policy
+from simbias.core.errors import ConfigError
 from simbias.core.records import Array, Iteration, Rollout
 from simbias.lab.checked_hardware import DEFAULT_CONDITIONS
 from simbias.simulation.closed_loop import simulator
@@ -101,17 +102,20 @@ def _method_counts_and_recalls(study: Study) -> None:
         def iterated(self, iteration: Iteration) -> None:
             counts.append(len(made))
 
+    expected = "each search and each experiment to have a generator of its own"
     with tempfile.TemporaryDirectory() as folder:
         first = run_trial(study, Path(folder, study.hash), Count())
         if first.outcome in (Outcome.ERROR, Outcome.WAITING):
             list(study.run())  # raises what the record only tells
-        again = run_trial(study, Path(folder, study.hash))
+        try:
+            again = run_trial(study, Path(folder, study.hash))
+        except ConfigError as error:
+            raise ConformanceError(f"method.run: expected {expected}, got others when begun again") from error
     for iteration, count in zip(first.iterations, counts, strict=True):
         total = iteration.total_experiments
         expect(total == count, "method.run", f"{count} experiments so far", total)
     most = study.max_experiments
     expect(len(made) <= most, "method.run", f"at most {most} experiments", len(made))
-    expected = "each search and each experiment to have a generator of its own"
     kept = [len(trial.iterations) for trial in (first, again)]
     expect(kept[0] == kept[1], "method.run", expected, f"{kept[1]} of {kept[0]} iterations when begun again")
     for one, other in zip(again.iterations, first.iterations, strict=True):

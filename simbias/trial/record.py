@@ -6,7 +6,7 @@ import itertools
 import json
 import logging
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, replace
 from functools import cached_property
@@ -53,9 +53,10 @@ from simbias.trial.replay import EndOfRecord, Record
 from simbias.trial.study import Study
 from simbias.trial.summary import TrialSummary, iteration_summary
 
-ERROR, REFUSED, DAMAGED = "error_", "refused_", "damaged_"
+ERROR, REFUSED = "error_", "refused_"
 ROUNDING = 1e-6  # by which a computed policy, as LQR's, may differ on another platform
 COMPARED = ("iteration", "total_experiments", "succeeded")  # of an iteration with its replay
+CHANGED = "was emptied, moved or changed while the trial ran. Put it back as it was; the same command resumes"
 MIXED = "simbias: trial %s mixes platforms, so its last bits are of neither: %s; now %s"
 
 Loaded = TypeVar("Loaded")
@@ -67,14 +68,17 @@ class FolderRecord(Record):
     Raises
     ------
     ConfigError
-        If the folder cannot be written, or another process runs this trial.
+        If the folder cannot be written, holds steps or an outcome without a readable trial.json, or another
+        process runs this trial.
     """
 
     def __init__(self, path: Path, study: Study, *, writes: bool = True) -> None:
         self.folder = TrialFolder(path)
         self._study = study
         self._writes = writes
+        self._kept: list[Path] = []  # all steps: those that were there, and those made since
         self._iterations: list[Iteration] = []
+        self._episodes = 0  # that were replayed
         self.testing = False  # the last policy, whose episodes are no experiments of the method's
 
     @cached_property
@@ -97,11 +101,12 @@ class FolderRecord(Record):
         path = self.folder.path
         for file in path.glob(f"*{PART}"):  # of a process that was killed while it wrote
             file.unlink()
-        try:
-            self.folder.description()
-        except ConfigError:  # it is missing, or somebody damaged it
-            if (path / TRIAL).exists():
-                (path / TRIAL).replace(path / f"{DAMAGED}{TRIAL}")
+        self._kept = self.folder.all_steps()
+        if (path / TRIAL).exists():
+            self.folder.description()  # if it can be read
+        elif self._kept or self.folder.numbered(OUTCOME).exists():
+            raise missing(path / TRIAL)
+        else:
             tell_what_is_in_clear(self._study.composition.from_environment, path / TRIAL)
             write_json(path / TRIAL, description(self._study))
         here, before = platform.kind(), self.folder.platforms()
@@ -129,13 +134,14 @@ class FolderRecord(Record):
             rollout = _loaded(path, self._experiment)[0]
             if not self._fits(rollout, theta):
                 raise changed(path)
+            self._episodes += self.testing
             return rollout
         place = place_of(rng)
         superseded, withdrawn = self._former(kind, theta, place)
         file = self._next(kind)
         with room_for(file, largest(self._longest_task, theta, place)):
             rollout = superseded or make(another(rng, withdrawn))
-            write_whole(file, packed_rollout(rollout, place))
+            self._write(file, packed_rollout(rollout, place))
         return rollout
 
     @property
@@ -211,7 +217,7 @@ class FolderRecord(Record):
     def stop(self, summary: TrialSummary, episodes: str | None = None) -> None:
         """Keep how the trial ended, or how this attempt stopped; `episodes` is the test's CSV.
 
-        Of a trial that had ended before, only this CSV is written, where it is not that of the same test.
+        Of a trial that had ended before only this CSV is written, if it differs and the test is the same.
         """
         ended = None if self._writes else self.folder.summary()
         if episodes is not None and (ended is None or ended.test_words == summary.test_words):
@@ -231,12 +237,16 @@ class FolderRecord(Record):
         Raises
         ------
         ConfigError
-            If it is of another kind: then the trial's code is not what it was.
+            If it is of another kind: then the trial's code is not what it was. If there is none, and the
+            trial has ended: then somebody has removed it.
         EndOfRecord
             If there is none, and the trial is only read.
         """
         step = next(self._steps, None)
         if step is None and not self._writes:
+            ended = self.folder.summary() if self.folder.ended else None
+            if ended is not None and not (self.testing and self._episodes >= len(ended.test_episodes)):
+                raise missing(self._path_after(self.folder.all_steps(), kinds[0]))
             raise EndOfRecord
         if step is not None and step.name.partition("_")[2] not in kinds:
             raise changed(step)
@@ -244,13 +254,34 @@ class FolderRecord(Record):
 
     def _keep(self, kind: str, content: bytes) -> None:
         """Append a step: whole, and on disk when this returns."""
-        write_whole(self._next(kind), content)
+        self._write(self._next(kind), content)
+
+    def _write(self, file: Path, content: bytes) -> None:
+        """Write the file of a step."""
+        write_whole(file, content)
+        self._kept.append(file)
 
     def _next(self, kind: str) -> Path:
-        """The file of the next step."""
-        last = self.folder.all_steps()[-1:]
-        count = number(last[0]) + 1 if last else 0
+        """The file of the next step; errors as of `check`."""
+        self.check()
+        return self._path_after(self._kept, kind)
+
+    def _path_after(self, steps: Sequence[Path], kind: str) -> Path:
+        """The file of a step after these."""
+        count = number(steps[-1]) + 1 if steps else 0
         return self.folder.path / f"{count:04d}_{kind}"
+
+    def check(self) -> None:
+        """Hold the folder that is written against what this process has read and written.
+
+        Raises
+        ------
+        ConfigError
+            If it has other steps, or no trial.json: somebody has emptied, moved or changed it.
+        """
+        path = self.folder.path
+        if self._writes and (self.folder.all_steps() != self._kept or not (path / TRIAL).exists()):
+            raise ConfigError(str(path), CHANGED)
 
 
 def another(rng: np.random.Generator, times: int) -> np.random.Generator:
@@ -260,6 +291,11 @@ def another(rng: np.random.Generator, times: int) -> np.random.Generator:
         return rng
     entropy = [times, *seed.generate_state(4).tolist()]
     return np.random.default_rng(np.random.SeedSequence(entropy, spawn_key=seed.spawn_key))
+
+
+def missing(path: Path) -> ConfigError:
+    """The error of a file that a trial's folder lacks."""
+    return ConfigError(str(path), "is missing. Put it back, or move the folder away to begin again")
 
 
 def changed(path: Path) -> ConfigError:

@@ -14,13 +14,13 @@ from threadpoolctl import threadpool_limits
 from simbias.core import Controller, Waiting, platform
 from simbias.core.error_origin import told
 from simbias.core.errors import ConfigError
-from simbias.core.messages import with_trace, words
+from simbias.core.messages import with_trace, with_type, words
 from simbias.core.records import Iteration, Rollout
 from simbias.lab.requests.request import ExperimentRequest
 from simbias.lab.safety import SafetyLimitedPolicy
 from simbias.trial import diagnostics
 from simbias.trial.claim import claim_of
-from simbias.trial.folder import Withdrawal
+from simbias.trial.folder import TRIAL, Withdrawal
 from simbias.trial.observer import Observer, Observers
 from simbias.trial.policy_test import PolicyTestResult, episodes_csv, run_policy_test
 from simbias.trial.record import FolderRecord
@@ -87,8 +87,9 @@ def run_trial(study: Study, folder: Path | None = None, observer: Observer | Non
     Raises
     ------
     ConfigError
-        If the method cannot work with a component, the folder cannot be written, or another process runs this
-        trial.
+        If the method cannot work with a component, the folder cannot be written, holds no readable trial.json
+        beside its steps or is changed meanwhile, a trial that ended cannot be replayed, or another process
+        runs this trial.
     KeyboardInterrupt
         When interrupted; what was done is kept.
     """
@@ -105,9 +106,16 @@ def run_trial(study: Study, folder: Path | None = None, observer: Observer | Non
         except Waiting as reason:
             record = run.record(Outcome.WAITING, f"{run.episode}{words(reason)}")
         except (KeyboardInterrupt, GeneratorExit):
-            run.stop(run.record(Outcome.INTERRUPTED))
+            with suppress(ConfigError):  # of a folder that is gone, too
+                run.stop(run.record(Outcome.INTERRUPTED))
             raise
         except BaseException as error:  # also SystemExit, and by what other libraries end their tasks
+            if kept is not None and kept.folder.ended:  # as it is read
+                if isinstance(error, ConfigError):
+                    raise
+                raise ConfigError(
+                    str(kept.folder.path / TRIAL), f"cannot be read ({with_type(error)})"
+                ) from error
             record = run.record(Outcome.ERROR, f"{run.episode}{told(error)}", with_trace(error))
         return run.stop(record)
 
@@ -185,6 +193,7 @@ class _Run(Observer):
     def stop(self, record: TrialRecord) -> TrialRecord:
         """Keep how the trial ended or stopped; of one that had ended before, how it did."""
         if self._kept is not None:
+            self._kept.check()
             summary, test = record.summary, self._policy_test
             if record.traceback:
                 summary = replace(summary, traceback_file=self._kept.traceback(record.traceback))

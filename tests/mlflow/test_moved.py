@@ -87,7 +87,7 @@ def test_a_working_folder_that_is_moved_takes_the_trial_along(
 
 def test_a_folder_that_is_moved_while_its_trial_runs_stops_it(folder: Path, study: Study) -> None:
     trial, there = folder / "trials" / study.hash, folder.parent / "there"
-    with pytest.raises(FileNotFoundError):
+    with pytest.raises(ConfigError, match="was emptied, moved or changed"):
         run_trial(study, trial, Moving(folder, there, FILES[2:]))
     assert left(folder) == {"mlflow.db"}
     moved = there / "trials" / study.hash

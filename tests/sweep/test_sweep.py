@@ -140,9 +140,10 @@ def test_dry_run_runs_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) 
     assert len(list(folder.glob("trials/*/trial.json"))) == 2
 
 
-def test_a_folder_that_somebody_damaged_is_named_and_its_trial_run_again(
-    folder: Path, caplog: pytest.LogCaptureFixture
+def test_a_folder_that_somebody_damaged_is_named(
+    folder: Path, caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """Its trial is resumed where its trial.json is whole, and moved away, made again."""
     trials = simbias.run_sweep([*SMOKE, NO_FIGURES])
     before = trial_by_trial(folder)
     cut, gone, *others = (folder / "trials" / identity for identity in trials["hash"])
@@ -152,16 +153,18 @@ def test_a_folder_that_somebody_damaged_is_named_and_its_trial_run_again(
     damaged[-1].unlink()
     shutil.rmtree(gone)
     assert simbias.run_sweep([*SMOKE, "sweep.dry_run=true"]).empty
-    assert main([*SMOKE, NO_FIGURES]) == 0
-    again = simbias.run_sweep([*SMOKE, NO_FIGURES])
+    capsys.readouterr()
+    assert main([*SMOKE, NO_FIGURES]) == 1
     for file, record in zip(damaged, caplog.records, strict=True):
         line = record.getMessage()
         assert line.startswith(f"simbias: {file.relative_to(folder)}: cannot be read")
         assert line.count("cannot be read") == 1
-        assert line.endswith("; the trial is run again")
-    (kept,) = (folder / "trials").glob("*/damaged_trial.json")
-    assert kept.read_text() == "{"
-    kept.unlink()
+        assert line.endswith("; the trial counts as unfinished")
+    told = capsys.readouterr()
+    for file, words in zip(damaged[1:], ("cannot be read", "is missing. Put it back"), strict=True):
+        assert f"{file.parent.name}/trial.json: {words}" in told.out + told.err
+        shutil.rmtree(file.parent)
+    again = simbias.run_sweep([*SMOKE, NO_FIGURES])
     assert trial_by_trial(folder) == before
     pd.testing.assert_frame_equal(again.drop(columns="seconds"), trials.drop(columns="seconds"))
 

@@ -1,7 +1,9 @@
 """What runs in a sweep's workers, and how a trial's folder travels where they share no disk."""
 
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
+from zipfile import ZipFile
 
 import pytest
 from sweeping import content
@@ -9,7 +11,7 @@ from sweeping import content
 from simbias.config import Composition, compose
 from simbias.config.build import build
 from simbias.sweep.worker import Plan, code, pack, run_plan, unpack
-from simbias.trial.folder import OUTCOME, TrialFolder
+from simbias.trial.folder import OUTCOME, TRIAL, TrialFolder
 from simbias.trial.run import Outcome
 
 SHORT = [
@@ -50,6 +52,8 @@ def test_a_worker_of_another_version_runs_no_trial(plan: Plan, trial: Compositio
 def test_a_folder_travels_where_no_disk_is_shared(plan: Plan, whole: Path, tmp_path: Path) -> None:
     """There and back: the worker gets what is kept, makes the rest, and sends all; only that counts."""
     folder, there = tmp_path / "trial", tmp_path / "another machine"
+    with ZipFile(BytesIO(pack(whole))) as packed:  # killed while it is laid out, it can be resumed
+        assert [packed.namelist()[index] for index in (0, -1)] == [TRIAL, OUTCOME]
     unpack(pack(whole), folder)
     for file in (folder / OUTCOME, *TrialFolder(folder).steps()[5:]):  # as if killed after the fifth step
         file.unlink()

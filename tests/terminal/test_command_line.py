@@ -13,7 +13,7 @@ from unittest.mock import Mock
 import pytest
 from conftest import OWN_CONF, POINT_MASS, PYTHONPATH, ROOT
 from omegaconf import OmegaConf
-from sweeping import run, start
+from sweeping import FOLDERS, run, start
 
 from simbias.__main__ import COMMANDS, main
 from simbias.config import compose
@@ -113,6 +113,23 @@ def test_own_components_run(line: Any) -> None:
     status, out, _ = line("--cfg", "job", "bias.d=2")
     assert status == 0
     assert OmegaConf.create(out).bias.d == 2
+
+
+@pytest.mark.usefixtures("uncompiled")
+def test_a_trial_that_ended_and_was_damaged_is_no_success(line: Any, folder: Path) -> None:
+    """An outcome alone is made again, and that is told."""
+    own = ["--config-dir", str(OWN_CONF), *POINT_MASS, "optimizer.max_evaluations=40", *FOLDERS]
+    assert line(*own)[0] == 0
+    (outcome,) = folder.glob("trials/*/outcome.json")
+    outcome.write_text("")
+    status, out, err = line(*own)
+    assert (status, "in an earlier run" in out) == (0, False)
+    assert f"simbias: {outcome.relative_to(folder)}: cannot be read" in err
+    assert "; it is made again from the steps\n" in err
+    (outcome.parent / "0000_search.json").write_text("")
+    status, out, err = line(*own)
+    assert (status, "Succeeded" in out) == (2, False)
+    assert "0000_search.json: cannot be read" in err
 
 
 def test_options_may_stand_anywhere() -> None:

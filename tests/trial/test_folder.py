@@ -7,6 +7,7 @@ import re
 import resource
 import shutil
 from dataclasses import replace
+from functools import partial
 from io import StringIO
 from pathlib import Path
 
@@ -22,8 +23,8 @@ from scripted import Guessing
 import simbias
 from simbias.config import ConfigError
 from simbias.config.stored import read_folder
-from simbias.core import platform
-from simbias.core.records import Rollout
+from simbias.core import Hardware, Policy, platform
+from simbias.core.records import Array, Rollout
 from simbias.terminal.trial import changed_since
 from simbias.trial import record as records
 from simbias.trial.disk import LOCK, PART, is_locked, write_whole
@@ -178,17 +179,77 @@ def test_its_study_is_built_from_the_folder_too(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_cannot_be_read_is_one_line_that_names_the_file(whole: Whole, tmp_path: Path) -> None:
-    folder = shutil.copytree(whole[0], tmp_path / "trial")
+def test_what_cannot_be_read_is_one_line_that_names_the_file(
+    short: Study, whole: Whole, tmp_path: Path
+) -> None:
+    """Run again, a trial that ended says the same as read; only its outcome follows from its steps."""
+    folder, (iteration, *_, episode) = tmp_path / "trial", TrialFolder(whole[0]).steps()[11:]
+    shutil.copytree(whole[0], folder)
     for name in (TRIAL, OUTCOME, "0000_search.json", "0001_experiment.npz", "0003_iteration.json"):
         right = (folder / name).read_bytes()
         for content in (b"", b"{}", b"PK"):
             (folder / name).write_bytes(content)
             with one_line(f"{name}: cannot be read"):
                 read_folder(folder)
+            if name not in (TRIAL, OUTCOME):
+                with one_line(f"{name}: cannot be read"):
+                    run_trial(short, folder)
         (folder / name).write_bytes(right)
+    for file in (episode, *TrialFolder(folder).steps()[12:-1], iteration):
+        (folder / file.name).unlink()
+        for read in (read_folder, partial(run_trial, short)):
+            with one_line(f"/{file.name}: is missing. Put it back"):
+                read(folder)
+    (folder / TRIAL).unlink()
+    with one_line(r"trial\.json: is missing\. Put it back"):
+        run_trial(short, folder)
+    assert not list(folder.glob("error_*"))
     with pytest.raises(ConfigError, match=r"trial\.json: cannot be read"):
         read_folder(tmp_path)
+
+
+@pytest.mark.parametrize("gone", ["*", TRIAL, "0000_search.json", None])
+def test_a_folder_that_is_changed_while_its_trial_runs_stops_it(
+    short: Study, whole: Whole, tmp_path: Path, gone: str | None
+) -> None:
+    """Before the next experiment; put back, the trial goes on where it stopped."""
+    folder, elsewhere = tmp_path / "trial", tmp_path / "elsewhere"
+    study, log = counted(short)
+
+    class Changing(Observer):
+        def experimented(self, rollout: Rollout) -> None:
+            if gone is None:
+                folder.rename(elsewhere)
+                return
+            shutil.copytree(folder, elsewhere)
+            for file in folder.glob(gone):
+                file.unlink()
+            left.extend(folder.iterdir())
+
+    left: list[Path] = []
+    with one_line(rf"^{re.escape(str(folder))}: was emptied, moved or changed .* Put it back"):
+        run_trial(study, folder, Changing())
+    assert log.count("made") == 1
+    assert [*folder.glob("*")] == left
+    shutil.copytree(elsewhere, folder, dirs_exist_ok=True)
+    assert_equal(timeless(run_trial(study, folder)), timeless(whole[1]))
+    assert log.count("made") == EXPERIMENTS
+
+
+def test_a_folder_that_is_moved_during_an_experiment_is_one_line(short: Study, tmp_path: Path) -> None:
+    """Also where the hardware raises then; an interruption remains one."""
+    folder = tmp_path / "trial"
+
+    class Moving(Hardware):
+        def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
+            folder.rename(tmp_path / raised.__name__)
+            raise raised
+
+    for raised in (OSError, KeyboardInterrupt):
+        expected, words = (ConfigError, "Put it back") if raised is OSError else (raised, None)
+        with one_line(words, expected):
+            run_trial(replace(short, hardware=Moving()), folder)
+        assert not folder.exists()
 
 
 @pytest.mark.skipif(not Path("/dev/zero").exists(), reason="devices and pipes")
