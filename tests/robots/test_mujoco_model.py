@@ -296,6 +296,34 @@ def test_a_motor_at_a_site_pushes_along_its_gear(tmp_path: Path) -> None:
         Mujoco(task, str(file))
 
 
+@pytest.mark.parametrize(("joint", "gear"), [("ball", "0.6 0.8 0"), ("free", "0 0 2 0 0 0")])
+def test_a_motor_on_a_ball_or_a_free_joint_pushes_along_its_gear(
+    joint: str, gear: str, tmp_path: Path
+) -> None:
+    """With the task's input in N m or N; a gear of zero is refused."""
+    file = tmp_path / "body.xml"
+    own = '<inertial pos="0 0 0" mass="2" diaginertia="2 2 2"/>'
+    text = (
+        f'<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="it" type="{joint}"/>{own}</body>'
+        f'</worldbody><actuator><motor name="push" joint="it" gear="{gear}"/></actuator></mujoco>'
+    )
+    file.write_text(text)
+    n = {"ball": (4, 3), "free": (7, 6)}[joint]
+    names = [f"q{i}" for i in range(n[0])] + [f"v{i}" for i in range(n[1])]
+    units = {"ball": [""] * 4 + ["rad/s"] * 3, "free": ["m"] * 3 + [""] * 4 + ["m/s"] * 3 + ["rad/s"] * 3}[
+        joint
+    ]
+    states = {name: {"unit": unit} for name, unit in zip(names, units, strict=True)}
+    task = cart_pole(states=states, failure={"far": {"value": "abs(v0)", "above": 5.0}}, drawing=None)
+    start = np.zeros(sum(n))
+    start[n[0] - 4] = 1.0  # the quaternion of no turn
+    after = Mujoco(task, str(file)).step(start, np.array([3.0]))
+    assert np.linalg.norm(after[n[0] :]) == pytest.approx(3.0 / 2.0 * 0.02)
+    file.write_text(text.replace(gear, "0 0 0 0 0 0"))
+    with pytest.raises(ValueError, match="the motor push has a gear or a gain of zero"):
+        Mujoco(task, str(file))
+
+
 def test_what_has_blown_up_is_no_number(tmp_path: Path) -> None:
     """The engine itself would begin anew at its initial state, as if nothing had happened."""
     model = Mujoco(cart_pole(), mjcf(tmp_path))

@@ -120,6 +120,8 @@ class Mechanism:
         engine, model = mujoco(), self.model
         places = zip(task.inputs, actuators, self.control_places, self.units, strict=True)
         for (quantity, name, index, unit), lower, upper in zip(places, *task.input_bounds, strict=True):
+            if not unit:
+                raise ValueError(f"{self._file}: the motor {name} has a gear or a gain of zero")
             force = _input_unit(engine, model, index)  # volts, or a share, may be a gain away from it
             bare = re.sub(r"[\s·*.]", "", quantity.unit)
             if force and "N" in bare and bare != force.replace(" ", ""):
@@ -206,9 +208,15 @@ def _input_unit(engine: Any, model: Any, i: int) -> str:
 
 
 def _gear(engine: Any, model: Any, i: int) -> float:
-    """Force of an actuator at a site along the axis of its six gears, or torque about it; else the gear."""
-    gear = model.actuator_gear[i]
-    if model.actuator_trntype[i] != engine.mjtTrn.mjTRN_SITE:
+    """Force of an actuator at a site along the axis of its six gears, or torque about it; else the gear.
+
+    Those on a ball joint are about three axes, and those on a free joint as at a site.
+    """
+    gear, kind, target = model.actuator_gear[i], model.actuator_trntype[i], model.actuator_trnid[i, 0]
+    has_axes = kind == engine.mjtTrn.mjTRN_SITE
+    if kind == engine.mjtTrn.mjTRN_JOINT or kind == engine.mjtTrn.mjTRN_JOINTINPARENT:
+        has_axes = model.jnt_type[target] < int(engine.mjtJoint.mjJNT_SLIDE)  # free or ball
+    if not has_axes:
         return float(gear[0])
     return float(np.linalg.norm(gear[:3]) or np.linalg.norm(gear[3:]))
 
