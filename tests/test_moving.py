@@ -123,6 +123,12 @@ def test_a_policy_that_does_not_swing_up_is_told_why(monkeypatch: pytest.MonkeyP
     fallen = replace(rollout, inputs=rollout.inputs[:157], failed_at=157, failure="off_the_rail")
     (remark,) = of_goal(fallen, study.task)
     assert remark.words == "this policy fails in simulation, after 3.14 s: off the rail"
+    words = []
+    for last in (np.pi - 0.1, 0.3):  # it hardly moves, and comes nearer until the end
+        states = np.zeros_like(rollout.states)
+        states[:, 1] = np.linspace(np.pi, last, len(states))
+        words += [remark.words for remark in of_goal(replace(rollout, states=states), study.task)]
+    assert ["coming nearer, so the horizon may be short" in each for each in words] == [False, True]
     balancing = simbias.load(["preset=cartpole", "tracking=none"])  # its cost says what success is
     still = np.zeros(balancing.policy.n_parameters)
     assert not list(of_prediction(still, balancing.first_model(), balancing))

@@ -33,8 +33,8 @@ SEED = 0  # of these records: the same model has the same policies
 CLOSE = 0.1  # share of the goal, by which a state is off it: so little that a constant counts
 ALIKE = 0.5  # of the regulator's squared inputs, by which those of a policy may differ there
 NO_ERRORS = (
-    "{} does not regulate to the goal as LQR does, but to zero: declare outputs that are zero there "
-    "(position - 0.5), or let it have a constant (dynamic_output_feedback, policy.constant)"
+    "{} cannot hold the goal as LQR does, so it regulates to zero: its outputs are not zero at the goal "
+    "(position - 0.5 is), or the goal needs a steady input (dynamic_output_feedback, policy.constant)"
 )
 
 

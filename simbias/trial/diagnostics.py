@@ -20,6 +20,10 @@ from simbias.learning.identification.identified import Identified
 from simbias.simulation.closed_loop import simulator
 from simbias.trial.study import Study
 
+NEARER, EARLIER = (
+    0.95,
+    0.9,
+)  # times the least distance in this share of an episode: it was still coming nearer
 SAME = 1e-6  # of a policy's largest parameter, within which parameters say the same
 
 _simulated: WeakKeyDictionary[Iteration, tuple[Remark, ...]] = WeakKeyDictionary()
@@ -83,7 +87,7 @@ def of_goal(rollout: Rollout, task: Task) -> Iterator[Remark]:
     lower, upper = task.input_bounds
     slack = np.nan_to_num(0.01 * (upper - lower), posinf=0.0)  # an input may have no limit
     full = np.mean(((rollout.inputs <= lower + slack) | (rollout.inputs >= upper - slack)).any(axis=1))
-    coming = np.argmin(distances) == rollout.frames
+    coming = distances[-1] < NEARER * distances[: int(EARLIER * len(distances))].min(initial=np.inf)
     late = "; it was still coming nearer, so the horizon may be short" if coming else ""
     missed = task.missed(rollout.states)
     yield Remark(

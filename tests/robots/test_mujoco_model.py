@@ -4,6 +4,7 @@ import ctypes
 import gc
 import logging
 import os
+import re
 import sys
 from contextlib import nullcontext
 from dataclasses import replace
@@ -352,6 +353,20 @@ def test_a_urdf_has_motors_where_its_joints_are_named(tmp_path: Path) -> None:
     file.write_text(URDF.replace('effort="20"', 'effort="9"'))
     with pytest.raises(ValueError, match="the task's input may be 20; the actuator rail gives 9"):
         Mujoco(task, str(file), actuators=["rail"])
+    with pytest.raises(ValueError, match=r"slider\.urdf has no actuators: name the joints to put "):
+        Mujoco(task, str(file))
+
+
+def test_a_tendons_limit_is_that_of_its_motor(tmp_path: Path) -> None:
+    """As a joint's is."""
+    tendon = (
+        '<tendon><fixed name="rope" actuatorfrcrange="-7 7"><joint joint="slider" coef="1"/></fixed></tendon>'
+    )
+    motor = '<actuator><motor name="push" tendon="rope" gear="2"/></actuator>'
+    file = Path(mjcf(tmp_path))
+    file.write_text(re.sub("<actuator>.*</actuator>", tendon + motor, file.read_text(), flags=re.DOTALL))
+    with pytest.raises(ValueError, match="the task's input may be 20; the actuator push gives 7"):
+        Mujoco(cart_pole(), str(file))
 
 
 def test_a_bad_file_is_one_line(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from simbias.core.records import Array, Indices
 from simbias.robots.mujoco.files import mjcf, read_model, source_files
 from simbias.robots.mujoco.parameters import mujoco, names_of, put_values
 
+NO_ACTUATORS = "no actuators: name the joints to put motors at, as `actuators: [elbow]`"  # of a URDF
 MOST_STEPS = 10_000  # of the engine in a frame
 STATE_UNITS = (  # of positions and of velocities, by a joint's type in MuJoCo's order; "" of quaternions
     (("m",) * 3 + ("",) * 4, ("m/s",) * 3 + ("rad/s",) * 3),  # free
@@ -84,7 +85,8 @@ class Mechanism:
                 f"{', '.join(joints)} are {model.nq} and {model.nv}"
             )
         if len(task.inputs) != len(actuators):
-            raise ValueError(f"the task has {len(task.inputs)} inputs; {file} has actuators {actuators}")
+            has = f"actuators {', '.join(actuators)}" if actuators else NO_ACTUATORS
+            raise ValueError(f"the task has {len(task.inputs)} inputs; {file} has {has}")
         self._check_states(task)
         steps = task.time_step / model.opt.timestep if model.opt.timestep > 0 else np.inf
         if steps > MOST_STEPS:
@@ -229,9 +231,10 @@ def _reach(engine: Any, model: Any, i: int, unit: float) -> tuple[float, float]:
     motor = _is_motor(engine, model, i)
     if motor and model.actuator_forcelimited[i]:
         ranges.append(_gear(engine, model, i) * model.actuator_forcerange[i])
-    joint = model.actuator_trnid[i, 0]
-    on_joint = model.actuator_trntype[i] == engine.mjtTrn.mjTRN_JOINT
-    if motor and on_joint and model.jnt_actfrclimited[joint]:
-        ranges.append(model.jnt_actfrcrange[joint])
+    kind, target = model.actuator_trntype[i], model.actuator_trnid[i, 0]
+    if motor and kind == engine.mjtTrn.mjTRN_JOINT and model.jnt_actfrclimited[target]:
+        ranges.append(model.jnt_actfrcrange[target])
+    if motor and kind == engine.mjtTrn.mjTRN_TENDON and model.tendon_actfrclimited[target]:
+        ranges.append(model.tendon_actfrcrange[target])
     low, high = np.sort(ranges, axis=1).T  # a gear may be negative
     return float(low.max()), float(high.min())
