@@ -13,6 +13,7 @@ from simbias.learning.identification.identified import QUANTILE, Identified
 CORRELATED = 0.9
 COMPENSATES = 0.5  # correlation from which a parameter takes up part of what another one gets wrong
 DETERMINED, UNKNOWN = 0.5, 0.2  # shrinkage from which a parameter is told, and below which it is not
+BEYOND_PRIOR = 1.05  # deviations of the prior, from which errors scatter what is identified beyond it
 AT_BOUND = 0.05  # prior standard deviations from a bound
 TAIL = 2.5  # prior standard deviations from the median
 DISAGREEMENT = 3.0  # standard deviations between estimates of two parts
@@ -64,6 +65,7 @@ def findings(
         ]
         doubts = [
             "each recording has its own" if elsewhere else _of_shrinkage(shrinkage),
+            "scattered by errors beyond its prior" if deviations[i] > BEYOND_PRIOR else "",
             f"only together with {', '.join(partners)}" if partners else "",
             "at its bound" if at_bound(parameter, estimate.value) else "",
             "far from what was declared" if _from_declared(parameter, fitted.mode[i]) > TAIL else "",

@@ -8,6 +8,7 @@ import numpy as np
 
 from simbias.recordings.assessment import Assessment
 from simbias.recordings.excitation import Excitation
+from simbias.recordings.findings import BEYOND_PRIOR
 
 PARAMETER_NAMES = (
     "parameter",
@@ -122,8 +123,9 @@ def about_errors(assessment: Assessment) -> str:
 def undetermined_lines(assessment: Assessment) -> Iterator[str]:
     """A line for each direction that the data do not determine."""
     for direction in assessment.undetermined:
-        share = min(direction.deviation, 1.0)
-        yield f"{direction} (keeps {100 * share:.0f}% of the prior's deviation)"
+        share = direction.deviation
+        scattered = ": errors scatter it beyond its prior" if share > BEYOND_PRIOR else ""
+        yield f"{direction} (keeps {100 * share:.0f}% of the prior's deviation{scattered})"
 
 
 def reach_lines(assessment: Assessment) -> Iterator[str]:

@@ -39,7 +39,14 @@ from simbias.recordings.parts import parts
 from simbias.recordings.reach import beyond
 from simbias.recordings.reading import read
 from simbias.recordings.report import report
-from simbias.recordings.words import about_errors, advice, error_names, parameter_rows, verdict
+from simbias.recordings.words import (
+    about_errors,
+    advice,
+    error_names,
+    parameter_rows,
+    undetermined_lines,
+    verdict,
+)
 from simbias.robots.mujoco.model import Mujoco
 from simbias.robots.mujoco.parameters import values_of
 from simbias.robots.none import NoNominal
@@ -472,6 +479,12 @@ def test_what_is_far_wider_than_the_prior_hides_nothing(assessment: Assessment) 
     axes, *_ = plots.parameters(replace(assessment, findings=[wide])).axes
     assert axes.get_xlim()[1] < 4 * wide.prior_interval[1]
     assert [line.get_marker() for line in axes.lines].count(">") == 1
+    fitted = assessment.identified
+    scattered = fitted.with_spread(1.7 * np.eye(len(fitted.parameters)))
+    (doubts,) = {each.doubts for each in findings(scattered, [], []) if "at its bound" not in each.doubts}
+    assert doubts == ("the data do not tell", "scattered by errors beyond its prior")
+    wide = replace(assessment, identified=scattered)
+    assert "(keeps 170% of the prior's deviation: errors scatter it beyond" in next(undetermined_lines(wide))
 
 
 def test_draws_are_within_the_priors(assessment: Assessment) -> None:
