@@ -152,8 +152,9 @@ def _withdraw(parsed: argparse.Namespace) -> int:
     from simbias.trial.folder import withdraw
 
     withdrawal = withdraw(parsed.file, parsed.reason)
-    steps = counted(len(withdrawal.superseded), "step")
-    print(f"{withdrawal}; {steps} after it count no longer. The trial's own command resumes it.")
+    steps = len(withdrawal.superseded)
+    counts = f"{counted(steps, 'step')} after it count{'s' if steps == 1 else ''} no longer"
+    print(f"{withdrawal}; {counts}. The trial's own command resumes it.")
     return SUCCEEDED
 
 

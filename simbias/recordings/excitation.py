@@ -30,7 +30,10 @@ RELATIVE_NOISE = 0.005  # of a state's range, where no recording says
 REFERENCES, REFERENCE = 5, 5.0  # random trajectories that tell a state's range, s of each
 RANDOM, SEED = 0.6, 0  # share of trajectories that are drawn at random; the others vary the best
 LIMITS = "hardware.safety", "no inputs were found that keep these limits and the task's criteria"
-CRITERIA = "task", "no inputs were found that keep its failure criteria"
+CRITERIA = (
+    "task",
+    "no inputs were found that keep its failure criteria: a robot that falls needs a controller",
+)
 
 
 @dataclass(frozen=True, eq=False)

@@ -38,6 +38,9 @@ def check(overrides: Sequence[str], config_dir: str | None, allow: Sequence[str]
     chosen = ", ".join(f"{group} {study.choices[group]}" for group in sorted(groups))
     end = f"{counted(problems, 'check')} failed" if problems else "all checks hold"
     say(console, f"{chosen}: {end}.")
+    if "hardware" not in groups:
+        named = f"hardware={study.choices['hardware']}"
+        say(console, f"The hardware was not tried, as it may move: {named} checks it by short experiments.")
     return not problems
 
 

@@ -170,7 +170,7 @@ def test_a_person_reads_start_limits_and_what_to_do(point_mass: Study, tmp_path:
     assert sorted(path.name for path in folder.iterdir()) == files
     text = (folder / "README.txt").read_text()
     for line in (
-        "position = 0.5 m (within 0.2)",
+        "position = 0.5 m (further than 0.2 from it is refused)",
         "|velocity| <= 0.3 m/s",
         "|change of force| <= 5 N per s",
         "|force| <= 5 N",

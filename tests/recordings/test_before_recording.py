@@ -240,7 +240,7 @@ REFUSED = [
     (["--seconds=0.05"], "identification.window: 0.1 s are more than inputs of 0.05 s\n"),
     (["--seconds=0.03"], "task.time_step: 0.002 s are too long for inputs of 0.03 s: 20 frames at least\n"),
     (["hardware.safety.states={vel1: 1e-6}"], "hardware.safety: no inputs were found that keep "),
-    (["task.failure.speed.above=1e-6"], "task: no inputs were found that keep its failure criteria\n"),
+    (["task.failure.speed.above=1e-6"], "task: no inputs were found that keep its failure criteria: "),
 ]
 
 

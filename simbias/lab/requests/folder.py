@@ -36,7 +36,7 @@ Start the same command again: it resumes with the file, or says in one line what
 
 {controller}
 
-Abort beyond any of these limits:
+Abort as soon as one of these no longer holds:
 {limits}
 """
 CODE = (
@@ -157,7 +157,7 @@ def _readme(request: ExperimentRequest) -> str:
 
 def _within(tolerance: float) -> str:
     """A start's tolerance in words."""
-    return f" (within {tolerance:g})" if np.isfinite(tolerance) else ""
+    return f" (further than {tolerance:g} from it is refused)" if np.isfinite(tolerance) else ""
 
 
 def _indented(lines: Iterable[str]) -> str:
