@@ -8,7 +8,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import LogLocator
 
 from simbias.core import Quantity
 from simbias.core.records import Array
@@ -20,6 +19,7 @@ from simbias.pictures.elements.style import (
     SMALL,
     literal,
     logarithmic,
+    logarithmic_between,
     plain,
 )
 from simbias.recordings.assessment import Assessment
@@ -32,7 +32,6 @@ DRAWN = 5  # s of a part, at most
 MEASURED: Any = {"color": HARDWARE, "linewidth": 4.0, "alpha": 0.35}  # seen below a prediction that is right
 PRIOR = "0.75"  # grey
 WIDER = 1.0  # times the prior's interval on either side of it, up to which parameters are drawn
-TICKS = {4.0: (1, 1.5, 2, 3, 4, 5, 7), 20.0: (1, 2, 5), 200.0: (1, 3)}  # by largest over smallest error
 CLEAR = 6.0  # times the range of what is measured: a prediction beyond is not drawn
 
 
@@ -99,11 +98,7 @@ def errors(assessment: Assessment) -> Figure:
         axes.set_xlabel("horizon (s)")
         logarithmic(axes.xaxis)
         if np.nanmin(both[:, :, i]) > 0:
-            logarithmic(axes.yaxis)
-            range_of_errors = np.nanmax(both[:, :, i]) / np.nanmin(both[:, :, i])
-            if subs := next((subs for most, subs in TICKS.items() if range_of_errors < most), None):
-                axes.yaxis.set_major_locator(LogLocator(subs=subs))
-                axes.yaxis.set_major_formatter("{x:g}")
+            logarithmic_between(axes.yaxis, np.nanmin(both[:, :, i]), np.nanmax(both[:, :, i]))
         axes.set_xticks([0.1, 1.0], ["0.1", "1"])
         plain(axes)
     legend(figure, {"nominal model": _line(NOMINAL), "identified model": _line(SIMULATION)})

@@ -9,13 +9,22 @@ import pytest
 from figures import lines, texts
 from matplotlib.collections import Collection
 from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from simbias.core import Quantity
 from simbias.core.records import Iteration, Rollout
 from simbias.pictures import costs, forecast, phases, prediction_errors, rejections
 from simbias.pictures.elements.drawing import NoPictureError
-from simbias.pictures.elements.style import HARDWARE, NOMINAL, SIMULATION, png, symbol
+from simbias.pictures.elements.style import (
+    HARDWARE,
+    NOMINAL,
+    SIMULATION,
+    logarithmic_between,
+    png,
+    symbol,
+    tick_text,
+)
 from simbias.pictures.trial.comparison import simulated, worst_experiment
 from simbias.pictures.trial.errors import prediction_error, windows
 from simbias.pictures.trial.phases import phase_pairs, state_bounds
@@ -66,7 +75,7 @@ def test_phases_of_a_state_that_never_changes(of_point_mass: tuple[Study, list[I
         warnings.simplefilter("error")
         figure = phases(study, [replace(first, experiments=still, model=None)])
     (axes,), (legend,) = figure.axes, figure.legends
-    assert [text.get_text() for text in legend.get_texts()] == ["hardware"]
+    assert [text.get_text() for text in legend.get_texts()] == ["start", "hardware"]
     assert axes.get_ylim()[0] < 0.0 < axes.get_ylim()[1]
     task = type(study.task)()
     task.states = (Quantity("position", "m"), Quantity("mass", "kg"))
@@ -211,3 +220,14 @@ def test_what_a_trial_lacks_is_not_shown(
         for picture in pictures:
             with pytest.raises(NoPictureError):
                 picture(short, iterations)
+
+
+def test_numbers_of_logarithmic_axes() -> None:
+    """Between decades where there are few of them, and with powers of ten far from 1."""
+    assert [tick_text(each) for each in (0.002, 30.0, 1e-6, 3e-10)] == ["0.002", "30", "10⁻⁶", "3·10⁻¹⁰"]
+    for low, high, least in ((0.5, 1.2, 3), (1e-6, 9e-6, 3), (0.02, 2.0, 4), (1e-8, 1e-3, 3)):
+        axis = Figure().add_subplot()
+        logarithmic_between(axis.yaxis, low, high)
+        axis.set_ylim(low, high)
+        ticks = axis.yaxis.get_major_locator()()
+        assert sum(low <= tick <= high for tick in ticks) >= least

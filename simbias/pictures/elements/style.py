@@ -30,6 +30,8 @@ MARKERS = ("o", "s", "D", "^", "v", "P", "X", "<", ">", "p", "h")
 GREEK = ("alpha", "beta", "gamma", "delta", "theta", "phi", "psi", "omega")
 LIMIT, BEYOND = "0.35", "0.92"  # greys
 SMALL = 8.5  # points
+TICKS = {4.0: (1, 1.5, 2, 3, 4, 5, 7), 20.0: (1, 2, 5), 200.0: (1, 3)}  # by largest over smallest value
+FAR = 3  # decades from 1, beyond which a number is told with its power of ten
 LINE_OF_TEXT = 0.13  # of the height of axes, at most
 
 DOTS_PER_INCH = 120
@@ -50,8 +52,8 @@ def series_style(index: int) -> SeriesStyle:
 
 
 def label(quantity: Quantity | Criterion) -> str:
-    """Name and unit, for an axis."""
-    return f"{symbol(quantity.name)} ({quantity.unit})"
+    """Name and unit, if it has one, for an axis."""
+    return f"{symbol(quantity.name)} ({quantity.unit})" if quantity.unit else symbol(quantity.name)
 
 
 def symbol(name: str) -> str:
@@ -111,6 +113,25 @@ def logarithmic(*all_axis: Axis) -> None:
         axis.set_major_locator(LogLocator(numticks=8))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"10{superscript(round(math.log10(value)))}"))
         axis.set_minor_locator(NullLocator())
+
+
+def logarithmic_between(axis: Axis, low: float, high: float) -> None:
+    """Scale an axis logarithmically, with ticks between decades where positive values are in few of them."""
+    from matplotlib.ticker import FuncFormatter, LogLocator
+
+    logarithmic(axis)
+    if subs := next((subs for most, subs in TICKS.items() if high < most * low), None):
+        axis.set_major_locator(LogLocator(subs=subs))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: tick_text(value)))
+
+
+def tick_text(value: float) -> str:
+    """A positive number, with its power of ten if it is far from 1."""
+    exponent = math.floor(math.log10(value) + 1e-9)
+    if abs(exponent) <= FAR:
+        return f"{value:g}"
+    digits = f"{value / 10.0**exponent:g}"
+    return f"{'' if digits == '1' else f'{digits}·'}10{superscript(exponent)}"
 
 
 def whole_numbers(*all_axis: Axis) -> None:

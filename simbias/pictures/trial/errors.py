@@ -21,7 +21,7 @@ from simbias.pictures.elements.style import (
     SIMULATION,
     SMALL,
     SeriesStyle,
-    logarithmic,
+    logarithmic_between,
     plain,
     seconds,
     symbol,
@@ -35,7 +35,7 @@ from simbias.trial.study import Study
 HORIZONS = (1, 5, 20, 100)  # frames
 WINDOWS = 40  # at most, in the experiments of an iteration
 HEIGHT = 1.8  # in, of a panel
-NAMES = 2  # of states in a line of a label
+NAMES, LONG = 2, 14  # of states in a line of a label; letters of a name that has a line to itself
 NOMINAL_ALONE, CORRECTED = "nominal model alone", "with what had been learned before"
 STYLES = {NOMINAL_ALONE: SeriesStyle(NOMINAL, "s"), CORRECTED: SeriesStyle(SIMULATION, "o")}
 ASIDE = {NOMINAL_ALONE: -0.12, CORRECTED: 0.12}  # iterations
@@ -70,19 +70,22 @@ def prediction_errors(
     for iteration, models in by_iteration:
         for name, (bias, nominal) in models.items():
             color, marker = STYLES[name]
-            shown[name] = Line2D([], [], color=color, marker=marker, linewidth=2.5, markerfacecolor="white")
             pieces = windows(study, iteration, max(horizons))
             if not len(pieces):
                 continue  # its experiments ended too early
             errors = prediction_error(bias, nominal, pieces, horizons)
+            if np.any(errors):  # else there is nothing on a logarithmic scale
+                entry = Line2D([], [], color=color, marker=marker, linewidth=2.5, markerfacecolor="white")
+                shown[name] = entry
             for row, states in zip(grid, groups.values(), strict=True):
                 for axes, values in zip(row, errors, strict=True):
                     norms = np.linalg.norm(values[:, states], axis=1)
                     _draw(axes, iteration.index + beside * ASIDE[name], norms, STYLES[name])
     for row, (unit, states) in zip(grid, groups.items(), strict=True):
         symbols = [symbol(study.task.states[i].name) for i in states]
-        lines = [", ".join(symbols[i : i + NAMES]) for i in range(0, len(symbols), NAMES)]
-        row[0].set_ylabel("error of " + ",\n".join(lines) + f" ({unit})", fontsize=SMALL)
+        names = NAMES if max(map(len, symbols)) < LONG or "$" in symbols[0] else 1
+        lines = [", ".join(symbols[i : i + names]) for i in range(0, len(symbols), names)]
+        row[0].set_ylabel("error of " + ",\n".join(lines) + f" ({unit})" * bool(unit), fontsize=SMALL)
         _share_scale(row)
     for axes, k in zip(grid[0], horizons, strict=True):
         ahead = seconds(study.task, k)
@@ -147,7 +150,7 @@ def _share_scale(row: Sequence[Axes]) -> None:
     low, high = min(axes.dataLim.minposy for axes in row), max(axes.dataLim.y1 for axes in row)
     for axes in row:
         if low <= high:
-            logarithmic(axes.yaxis)
+            logarithmic_between(axes.yaxis, low, high)
             axes.set_ylim(low / 1.5, high * 1.5)
         whole_numbers(axes.xaxis)
         plain(axes)

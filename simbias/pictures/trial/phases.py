@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
 
 from simbias.core import Task
 from simbias.core.records import Array, Iteration, Rollout
@@ -26,6 +27,7 @@ from simbias.pictures.trial.comparison import (
 from simbias.trial.study import Study
 
 HEIGHT = 2.3  # in, of a panel
+LONG = 5  # letters of a tick's number, from which few of them fit
 NEAR = 0.5  # of a limit: what comes so close to it is shown together with it
 
 
@@ -105,7 +107,8 @@ def _share_view(all_axes: Sequence[Axes], bounds: Array) -> None:
     low = np.where(low < -NEAR * bounds, np.minimum(low, -bounds), low) - margin
     high = np.where(high > NEAR * bounds, np.maximum(high, bounds), high) + margin
     for axes in all_axes:
-        axes.locator_params("x", nbins=5)
+        ticks = MaxNLocator(5).tick_values(low[0], high[0])
+        axes.locator_params("x", nbins=5 if max(len(f"{tick:.6g}") for tick in ticks) < LONG else 3)
         for edges in ((low[0], -bounds[0]), (bounds[0], high[0])):
             if edges[0] < edges[1]:
                 axes.axvspan(*edges, color=BEYOND, linewidth=0.0, zorder=0)
@@ -119,6 +122,7 @@ def _entries(simulates: bool, fails: bool, shaded: bool) -> dict[str, Artist]:
     """The legend, of what there is."""
     failure = Line2D([], [], color=LIMIT, marker="X", linestyle="", markeredgecolor="white")
     return {
+        "start": Line2D([], [], color="black", marker="o", markersize=3.5, linestyle=""),
         "hardware": Line2D([], [], color=HARDWARE),
         **({"simulation": Line2D([], [], color=SIMULATION, linestyle="--")} if simulates else {}),
         **({"failure": failure} if fails else {}),
