@@ -121,6 +121,12 @@ def test_snapshots_have_one_scale_and_show_all(study: Study) -> None:
     wheel = snapshots(study.task, {"hardware": balanced}, [0.0, 2.5]).axes[1].patches[0]
     np.testing.assert_allclose(wheel.center, study.task.pose(balanced.states[2500][:3]).wheel)
     share_view([])  # no drawings need no view
+    tall = Figure().add_subplot()
+    tall.plot([0.0, 0.1], [0.0, 9.0])
+    share_view([tall])
+    (left, right), (bottom, top) = tall.get_xlim(), tall.get_ylim()
+    assert (top - bottom) / (right - left) == pytest.approx(2.0)
+    assert left + right == pytest.approx(0.1)
 
 
 def test_figures_leave_pyplot_alone(study: Study, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
+TALLEST = 2.0  # height of a drawing's view, in widths
+
 
 class NoPictureError(LookupError):
     """A picture that a task or a trial cannot have."""
@@ -74,10 +76,15 @@ def _function(task: Task, name: str) -> Any:
 
 
 def share_view(all_axes: Sequence[Axes], margin: float = 0.03) -> None:
-    """Give axes of one shape, some of them empty, the view of one scale that holds all their drawings."""
+    """Give axes of one shape, some of them empty, the view of one scale that holds all their drawings.
+
+    It is at most twice as high as wide, so that a tall robot makes no picture that no screen shows.
+    """
     if all_axes:
         corners = np.concatenate([axes.dataLim.get_points() for axes in all_axes if axes.has_data()])
         low, high = corners.min(axis=0), corners.max(axis=0)
         low, high = low - margin * (high - low), high + margin * (high - low)
+        wider = max(0.0, (high[1] - low[1]) / TALLEST - (high[0] - low[0])) / 2
+        low[0], high[0] = low[0] - wider, high[0] + wider
         for axes in all_axes:
             axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
