@@ -169,10 +169,12 @@ def test_without_a_frame_that_all_columns_hold_it_is_refused(
         read(study, table[:2].assign(time=[0.0, 0.001]), tmp_path)
     with pytest.raises(HardwareError, match=r"one\.csv: expected a frame of 0\.002 s at least, got 0\.001 s"):
         read(study, table[:4].assign(time=[0.0, 0.001, 1.0, 1.001]), tmp_path)
-    with pytest.raises(
-        HardwareError, match=r"one\.csv: column time: expected times that increase, got them d"
+    for rows, words in (
+        ([2, 1, 0], r"row 3, column time: expected times that increase, got 0\.002 after 0\.004"),
+        ([0, 3, 1, 4, 2], r"row 4, column time: expected times that increase, got 0\.002 after 0\.006"),
     ):
-        read(study, table[:9].assign(time=-table["time"]), tmp_path)
+        with pytest.raises(HardwareError, match=words):
+            read(study, table.iloc[rows], tmp_path)
 
 
 def test_wrapped_angles_are_unwound(study: Study, tmp_path: Path) -> None:
