@@ -61,8 +61,9 @@ class Reader:
             If it cannot be read or cannot be meant so, in one line that names the file.
         """
         file = signals(path, whole_lines)
-        notes = list(file.notes)
+        notes: list[str] = []
         found = self._signals(file, notes)
+        notes[:0] = file.notes
         bounds = self._pieces(path, found, notes)
         pieces, times = [], []
         for begin, end in bounds:

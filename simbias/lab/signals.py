@@ -25,6 +25,7 @@ FIELD = re.compile(
 BAGS = (".mcap", ".db3", ".bag")
 NO_SAMPLE = ("", "nan", "na")  # a cell
 NANOSECOND = 1e-9
+UNEQUAL = 0.02  # s from header to arrival, more in one topic than in another: they may be misaligned
 RESET = 1e4  # usual intervals between samples that a reset of the clock counts as
 
 
@@ -38,7 +39,7 @@ class Signal(NamedTuple):
 class Signals(ABC):
     """The signals of a file, by name."""
 
-    notes: tuple[str, ...] = ()  # what was left out of it
+    notes: tuple[str, ...] = ()  # what was left out of it, and doubts about times of what was read
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -134,6 +135,8 @@ class Messages(Signals):
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self._topics: dict[str, tuple[Array, list[Any]]] = {}
+        self._late: dict[str, list[float]] = {}  # of each topic, from the messages' headers to arrival, in s
+        self._used: dict[str, float | None] = {}  # topics that were read: the median of these, if any
         highlevel = library("rosbags.highlevel", "rosbags", "bags")
         typesys = library("rosbags.typesys", "rosbags", "bags")
         store = typesys.get_typestore(typesys.Stores.LATEST)
@@ -141,8 +144,11 @@ class Messages(Signals):
             with highlevel.AnyReader([path], default_typestore=store) as reader:
                 read: dict[str, list[tuple[float, Any]]] = {}
                 for connection, arrival, raw in reader.messages():
-                    message = reader.deserialize(raw, connection.msgtype)
-                    read.setdefault(connection.topic, []).append((_time(message, arrival), message))
+                    message, arrived = reader.deserialize(raw, connection.msgtype), arrival * NANOSECOND
+                    if (stamp := _stamp(message)) is not None:
+                        self._late.setdefault(connection.topic, []).append(arrived - stamp)
+                    time = arrived if stamp is None else stamp
+                    read.setdefault(connection.topic, []).append((time, message))
         except Exception as error:  # of the reader, of many types
             raise HardwareError(f"{path}: cannot be read ({words(error)})") from error
         for topic, pairs in read.items():
@@ -165,7 +171,10 @@ class Messages(Signals):
             raise HardwareError(f"{self.path}: {name}: must be /topic.field, as /joint_states.position[0]")
         if match["topic"] not in self._topics:
             raise self.missing([match["topic"]], list(self._topics))
-        times, messages = self._topics[match["topic"]]
+        times, messages = self._topics[topic := match["topic"]]
+        late = self._late.get(topic)
+        self._used[topic] = None if late is None else float(np.median(late))
+        self.notes = _misaligned(self._used)
         try:
             values = np.array([_field(message, match) for message in messages], dtype=np.float64)
         except (AttributeError, ValueError, IndexError, TypeError) as error:
@@ -191,11 +200,22 @@ def signals(path: Path, whole_lines: bool = False) -> Signals:
     return Columns(path, whole_lines)
 
 
-def _time(message: Any, arrival: int) -> float:
-    """When a message was measured, in s."""
+def _misaligned(late: Mapping[str, float | None]) -> tuple[str, ...]:
+    """A note if topics arrive unequally long after their headers' times, in s, or after none."""
+    if np.ptp([each or 0.0 for each in late.values()]) <= UNEQUAL:
+        return ()
+    told = [
+        f"{topic} none" if each is None else f"{topic} {0.0 - round(each, 3):g} s"
+        for topic, each in late.items()
+    ]
+    return (f"header times minus arrival times: {', '.join(told)}; topics may be misaligned",)
+
+
+def _stamp(message: Any) -> float | None:
+    """The time of a message's header in s; None without one."""
     stamp = getattr(getattr(message, "header", None), "stamp", None)
     if stamp is None or not (stamp.sec or stamp.nanosec):
-        return arrival * NANOSECOND
+        return None
     return float(stamp.sec) + stamp.nanosec * NANOSECOND
 
 

@@ -307,8 +307,11 @@ def test_a_column_is_of_one_quantity_and_one_column(study: Study, rollout: Rollo
         Recorded(study.task, str(tmp_path), columns={"pos1": "q [deg]", "pos2": "q"})
 
 
-def bag(rollout: Rollout, folder: Path, plugin: str) -> Path:
-    """Joint states and efforts as ROS 2 has them, efforts on a topic of their own at half the rate."""
+def bag(rollout: Rollout, folder: Path, plugin: str, ahead: float | None = 0.0, late: int = 500_000) -> Path:
+    """Joint states and efforts as ROS 2 has them, efforts on a topic of their own at half the rate.
+
+    The clock of these is some seconds ahead, or they have no time.
+    """
     rosbag2, typesys = (pytest.importorskip(f"rosbags.{name}") for name in ("rosbag2", "typesys"))
     store = typesys.get_typestore(typesys.Stores.LATEST)
     state, header = store.types["sensor_msgs/msg/JointState"], store.types["std_msgs/msg/Header"]
@@ -323,9 +326,11 @@ def bag(rollout: Rollout, folder: Path, plugin: str) -> Path:
             at = 1_000_000_000 + 2_000_000 * t
             head = header(stamp=stamp(sec=at // 10**9, nanosec=at % 10**9), frame_id="")
             joints = state(head, names, x[[1, 0]].copy(), x[[3, 2]].copy(), none)
-            sent = [(joint_states, joints), (efforts, state(head, names, none, none, u))]
+            of_effort = 0 if ahead is None else at + round(ahead * 10**9)
+            other = header(stamp=stamp(sec=of_effort // 10**9, nanosec=of_effort % 10**9), frame_id="")
+            sent = [(joint_states, joints), (efforts, state(other, names, none, none, u))]
             for topic, message in sent[: 2 - t % 2]:
-                writer.write(topic, at + 500_000, store.serialize_cdr(message, state.__msgtype__))
+                writer.write(topic, at + late, store.serialize_cdr(message, state.__msgtype__))
     return folder
 
 
@@ -338,8 +343,9 @@ def test_ros_bags_and_mcap(study: Study, rollout: Rollout, tmp_path: Path) -> No
         columns |= {f"vel{i}": f"/joint_states.velocity[{joint}]"}
     (mcap,) = bag(rollout, tmp_path / "mcap", "MCAP").glob("*.mcap")
     for path in (bag(rollout, tmp_path / "sqlite", "SQLITE3"), mcap):
-        (piece,) = Reader(study.task, columns).read(path).pieces
-        assert piece.frames == 999
+        found = Reader(study.task, columns).read(path)
+        (piece,) = found.pieces
+        assert (piece.frames, found.notes) == (999, ())
         np.testing.assert_allclose(piece.states, rollout.states[: piece.frames + 1], atol=1e-5)
         for wrong, words in (
             ("/joint_state.position[0]", "expected a column /joint_state, got none; did you"),
@@ -347,6 +353,21 @@ def test_ros_bags_and_mcap(study: Study, rollout: Rollout, tmp_path: Path) -> No
         ):
             with pytest.raises(HardwareError, match=words):
                 Reader(study.task, columns | {"pos1": wrong}).read(path)
+
+
+def test_topics_of_two_clocks_are_told(study: Study, rollout: Rollout, tmp_path: Path) -> None:
+    """Where headers and arrival are apart by more in one topic, or in one that has headers alone."""
+    columns = {"time": "time", "tau1": "/efforts.effort[0]", "tau2": "/efforts.effort[1]"}
+    for i in 1, 2:
+        columns[f"pos{i}"], columns[f"vel{i}"] = (
+            f"/joint_states.{x}[{2 - i}]" for x in ("position", "velocity")
+        )
+    for ahead, late, told in ((0.5, 0, "0 s, /efforts 0.5 s"), (None, 200_000_000, "-0.2 s, /efforts none")):
+        path = bag(rollout, tmp_path / str(late), "MCAP", ahead, late)
+        said = f"header times minus arrival times: /joint_states {told}; topics may be misaligned"
+        assert said in Reader(study.task, columns).read(path).notes
+    arrived = bag(rollout, tmp_path / "arrived", "MCAP", None)
+    assert Reader(study.task, columns).read(arrived).notes == ()
 
 
 def test_a_bag_that_is_none_is_one_line(study: Study, tmp_path: Path) -> None:
