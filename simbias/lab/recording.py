@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,6 +23,7 @@ RAREST = 20.0  # frames from one sample to the next of what is measured most oft
 RAREST_OF_UNIT = 1000.0  # where its unit is named
 SMOOTH = 0.02  # s, over which a velocity is estimated from positions
 TWICE = 2.0  # how much inputs may exceed their limit
+SAME = 0.01  # of the samples: fewer that have the time of the one before are not told
 MOSTLY = 0.99  # of the frames: peaks of a sensor's noise exceed more
 TOLERANCE = 1.05  # times an input's limit, up to which nothing is said
 NEAR = 0.01  # of a frame from its start: a sample that is nearer belongs to it
@@ -93,7 +94,7 @@ class Reader:
         ]
         if lacking:
             file.signal(lacking[0], time)  # says what lacks
-        found = {}
+        found, same = {}, (0, 0)
         for i, quantity in enumerate(quantities):
             name, unit = self._named(file, quantity.name)
             if i in self._rates and not file.has(name):
@@ -108,10 +109,14 @@ class Reader:
                 raise HardwareError(
                     f"{file.path}: column {name}: expected two samples at least, got {len(times)}"
                 )
+            same = max(same, (len(signal.times) - len(times), len(signal.times)))
             values = signal.values[first] * scale
             if i < len(self._task.states) and quantity.unit in TURNS:
                 values = self._unwound(f"{file.path}: column {name}", quantity, times, values, notes)
             found[i] = Signal(times, values)
+        if same[0] > SAME * same[1]:
+            told = f"{same[0]} of {same[1]} samples have the time of the one before"
+            notes.append(f"{told}; the first of each counts")
         self._check_period(file, found, bool(time_unit or file.unit(time)))
         return found
 
@@ -136,8 +141,9 @@ class Reader:
     def _pieces(self, path: Path, found: Mapping[int, Signal], notes: list[str]) -> list[tuple[float, float]]:
         """When pieces begin and end: where every signal goes on without a gap or a reset of its time."""
         pieces, frame, longest = [(-np.inf, np.inf)], self._task.time_step, np.inf
+        runs_of = dict[int, list[tuple[float, float]]]()
         for i, signal in found.items():
-            runs = self._runs(signal, held=i >= len(self._task.states))
+            runs = runs_of[i] = self._runs(signal, held=i >= len(self._task.states))
             longest = min(longest, max(d - c for c, d in runs))
             pieces = [(max(a, c), min(b, d)) for a, b in pieces for c, d in runs if min(b, d) > max(a, c)]
         pieces = [(a, b) for a, b in pieces if b - a >= frame * (1 - 1e-9)]
@@ -149,7 +155,26 @@ class Reader:
         if len(pieces) > 1:
             seconds = ", ".join(f"{b - a:.2f} s" for a, b in pieces)
             notes.append(f"gaps or resets leave {len(pieces)} pieces: {seconds}")
+        notes += self._left_out(found, runs_of, pieces[0][0], pieces[-1][1])
         return pieces
+
+    def _left_out(
+        self,
+        found: Mapping[int, Signal],
+        runs_of: Mapping[int, list[tuple[float, float]]],
+        begin: float,
+        end: float,
+    ) -> Iterator[str]:
+        """Notes on what is left out before `begin` and after `end`, where some signals have a run's end."""
+        before = begin - min(signal.times[0] for signal in found.values())
+        after = max(signal.times[-1] for signal in found.values()) - end
+        quantities = (*self._task.states, *self._task.inputs)
+        for side, which, at, seconds in ((0, "first", begin, before), (1, "last", end, after)):
+            lacking = [i for i, runs in runs_of.items() if any(run[side] == at for run in runs)]
+            # Where all have it, it is a gap or a reset.
+            if len(lacking) < len(found) and seconds > max(self._gap(found[i]) for i in lacking):
+                names = ", ".join(quantities[i].name for i in lacking)
+                yield f"the {which} {seconds:.3g} s lack {names}, and are left out"
 
     def _check_period(self, file: Signals, found: Mapping[int, Signal], has_unit: bool) -> None:
         """Refuse times of which even the most frequent samples are far apart."""
@@ -162,12 +187,16 @@ class Reader:
 
     def _runs(self, signal: Signal, held: bool) -> list[tuple[float, float]]:
         """When a signal's uninterrupted runs begin and end; what is held lasts until a next sample is due."""
-        steps, usual = np.diff(signal.times), _period(signal)
-        ends = np.flatnonzero(steps > max(GAP * usual, FEWEST_FRAMES * self._task.time_step))
+        steps = np.diff(signal.times)
+        ends = np.flatnonzero(steps > self._gap(signal))
         firsts, lasts = [0, *(ends + 1)], [*ends, len(steps)]
-        due = usual if held else 0.0
+        due = _period(signal) if held else 0.0
         bounds = zip(signal.times[firsts].tolist(), signal.times[lasts].tolist(), strict=True)
         return [(first, last + due) for first, last in bounds]
+
+    def _gap(self, signal: Signal) -> float:
+        """The time in s from which nothing of a signal is a gap."""
+        return max(GAP * _period(signal), FEWEST_FRAMES * self._task.time_step)
 
     def _piece(self, found: Mapping[int, Signal], begin: float, end: float) -> tuple[Rollout, Array]:
         """A piece in the task's frames, and when its first state was measured.

@@ -155,6 +155,36 @@ def test_gaps_and_resets_cut_it(study: Study, rollout: Rollout, tmp_path: Path) 
         study.hardware.rollout("one.csv")  # type: ignore[attr-defined]
 
 
+def test_what_is_left_out_at_either_end_is_told(study: Study, rollout: Rollout, tmp_path: Path) -> None:
+    """With the column that lacks. Three rows, and a column of a rate of its own, are as usual."""
+    table = frame(rollout)
+    cases: list[tuple[list[str], slice, tuple[str, ...], int]] = [
+        (["tau1", "tau2"], slice(0, 499), ("the first 1 s lack tau1, tau2, and are left out",), 499),
+        (["pos2", "vel2"], slice(250, None), ("the last 1.5 s lack pos2, vel2, and are left out",), 249),
+        (["pos1"], slice(0, 2), (), 996),
+        (["tau1"], slice(997, None), (), 997),
+    ]
+    for names, rows, notes, frames in cases:
+        cut = table.copy()
+        cut.loc[rows, names] = np.nan
+        found = read(study, cut, tmp_path)
+        assert (found.notes, [piece.frames for piece in found.pieces]) == (notes, [frames])
+    rare = table.assign(tau1=table["tau1"].where(table.index % 20 == 19))
+    assert read(study, rare, tmp_path).notes == ()
+
+
+def test_rows_of_one_time_are_told(study: Study, rollout: Rollout, tmp_path: Path) -> None:
+    """As where a log rounds it; not a single one, nor rows of several rates."""
+    table = frame(rollout)
+    found = read(study, table.assign(time=np.floor(table["time"] * 100 + 1e-6) / 100), tmp_path)
+    told = "800 of 1000 samples have the time of the one before; the first of each counts"
+    assert told in found.notes
+    assert read(study, pd.concat([table[:1], table]), tmp_path).notes == ()
+    inputs = ["tau1", "tau2"]
+    apart = pd.concat([table.drop(columns=inputs), table[["time", *inputs]]])
+    assert read(study, apart.sort_values("time", kind="stable"), tmp_path).notes == ()
+
+
 def test_without_a_frame_that_all_columns_hold_it_is_refused(
     study: Study, rollout: Rollout, tmp_path: Path
 ) -> None:
