@@ -31,14 +31,14 @@ SECONDS = 1.0  # of each prediction that is drawn
 DRAWN = 5  # s of a part, at most
 MEASURED: Any = {"color": HARDWARE, "linewidth": 4.0, "alpha": 0.35}  # seen below a prediction that is right
 PRIOR = "0.75"  # grey
-WIDER = 1.0  # times the prior's interval on either side of it, up to which parameters are drawn
+WIDER = 1.0  # times the interval of prior and posterior on either side of it, up to which others are drawn
 CLEAR = 6.0  # times the range of what is measured: a prediction beyond is not drawn
 
 
 def parameters(assessment: Assessment) -> Figure:
     """Prior and posterior of each parameter, from 5% to 95%, and its estimates from each part alone.
 
-    An interval that leaves the axes, at a multiple of the prior's, has an arrow there.
+    The posterior is always shown whole. An estimate from a part that leaves the axes has an arrow there.
     """
     found = assessment.findings
     figure, (grid,) = panels(len(found), 0.8, COLUMNS)
@@ -78,8 +78,9 @@ def _parameter(axes: Axes, finding: Finding) -> None:
 
 
 def _view(finding: Finding) -> tuple[float, float]:
-    """The interval that is drawn of a parameter: at most a multiple of the prior's interval."""
-    low, high = finding.prior_interval
+    """The interval that is drawn of a parameter: that of prior and posterior, and room around it."""
+    low = min(finding.prior_interval[0], finding.estimate.low)
+    high = max(finding.prior_interval[1], finding.estimate.high)
     room = WIDER * (high - low)
     return low - room, high + room
 

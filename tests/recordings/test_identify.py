@@ -487,6 +487,19 @@ def test_what_is_far_wider_than_the_prior_hides_nothing(assessment: Assessment) 
     assert "(keeps 170% of the prior's deviation: errors scatter it beyond" in next(undetermined_lines(wide))
 
 
+def test_a_posterior_far_from_its_prior_is_shown_whole(assessment: Assessment) -> None:
+    """With the marks of parts that agree."""
+    first, *_ = assessment.findings
+    low, high = first.prior_interval
+    value, width = high + 5 * (high - low), high - low
+    far = first.estimate._replace(low=value - width, value=value, high=value + width)
+    moved = replace(first, estimate=far, by_part=(far._replace(value=value + 2 * width),))
+    axes, *_ = plots.parameters(replace(assessment, findings=[moved])).axes
+    assert axes.get_xlim()[0] < low
+    assert axes.get_xlim()[1] > value + 2 * width
+    assert [line.get_marker() for line in axes.lines] == ["None", "None", "o", "None", "s"]
+
+
 def test_draws_are_within_the_priors(assessment: Assessment) -> None:
     made = draws(assessment.identified)
     assert (made > 0).all(axis=None)
