@@ -23,13 +23,14 @@ PARAMETER_NAMES = (
 ERROR_NAMES = ("horizon (s)", "predictions", "over nominal", "90% region holds")
 MEAN = "in the geometric mean over states and horizons"
 WORTH = 0.1  # share by which an experiment has to narrow a parameter to be named
-REMEDY = "weigh or measure a part, or record with another load, and declare what is then known"
+REMEDY = "measure what you can otherwise (masses by weighing or another load), and declare it"
 
 
 def verdict(assessment: Assessment) -> str:
     """How well the model predicts what it was not fitted to, in a sentence."""
     ratios = assessment.ratios
-    each = f" ({min(ratios.values()):.2f} to {max(ratios.values()):.2f})" if len(ratios) > 1 else ""
+    apart = f" (each part by itself {min(ratios.values()):.2f} to {max(ratios.values()):.2f})"
+    each = apart if len(ratios) > 1 else ""
     what = "recordings that were held out" if assessment.held_out else "parts that it was not fitted to"
     if assessment.better:
         none = "" if any(finding.trusted for finding in assessment.findings) else " No parameter is trusted."

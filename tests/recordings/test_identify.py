@@ -169,6 +169,9 @@ def test_nothing_is_advised_for_what_each_recording_has_of_its_own(assessment: A
     (best, rest) = advice(assessment, useful)
     assert best.endswith(f" should narrow {first.prior.name} (by 20%).")
     assert first.prior.name not in rest
+    assert rest.endswith(
+        ": measure what you can otherwise (masses by weighing or another load), and declare it."
+    )
     with_own = replace(assessment, findings=[own, *others])
     told = [about_errors(each) for each in (assessment, with_own, replace(with_own, recordings=["one"]))]
     assert [f"Of {first.prior.name} each recording has its own" in each for each in told] == [0, 1, 0]
@@ -428,7 +431,9 @@ def test_the_page_is_one_file_and_runs_nothing(assessment: Assessment) -> None:
     assert assessment.better
     assert assessment.ratio < 0.5
     assert list(assessment.ratios) == ["one", "<script>two"]
-    assert "the identified model errs 0." in verdict(assessment)
+    low, high = sorted(assessment.ratios.values())
+    said = f"times as much as the nominal one (each part by itself {low:.2f} to {high:.2f}), in the geo"
+    assert said in verdict(assessment)
     doubted = [replace(each, doubts=("told in part",)) for each in assessment.findings]
     assert verdict(replace(assessment, findings=doubted)) == f"{verdict(assessment)} No parameter is trusted."
     first, *rest = assessment.predictions
