@@ -25,6 +25,7 @@ def _parts(assessment: Assessment, excitation: Excitation | str, notes: Sequence
     yield paragraph(words.verdict(assessment))
     yield heading("Which parameter may be trusted?")
     yield table(words.PARAMETER_NAMES, words.parameter_rows(assessment))
+    yield paragraph(words.TRUST)
     yield picture(
         plots.parameters(assessment), "Prior, posterior and the estimate of each part, by parameter"
     )

@@ -24,6 +24,9 @@ ERROR_NAMES = ("horizon (s)", "predictions", "over nominal", "90% region holds")
 MEAN = "in the geometric mean over states and horizons"
 WORTH = 0.1  # share by which an experiment has to narrow a parameter to be named
 REMEDY = "measure what you can otherwise (masses by weighing or another load), and declare it"
+TRUST = (
+    "Trust holds for motions like those recorded. To test it, hold out a faster or stronger one (--held-out)."
+)
 
 
 def verdict(assessment: Assessment) -> str:

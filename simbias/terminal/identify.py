@@ -141,6 +141,7 @@ def next_excitation(study: Study, assessment: Assessment) -> Excitation | str:
 def tell(console: Console, assessment: Assessment, excitation: Excitation | str) -> None:
     """Print the tables and sentences."""
     table(console, words.PARAMETER_NAMES, list(words.parameter_rows(assessment)))
+    say(console, words.TRUST)
     for line in words.own_lines(assessment):
         say(console, f"Of its own: {line}")
     for line in words.undetermined_lines(assessment):

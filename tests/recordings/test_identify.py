@@ -450,6 +450,7 @@ def test_the_page_is_one_file_and_runs_nothing(assessment: Assessment) -> None:
     assert text.count("<img ") == 4
     assert text.count("the geometric mean over states and horizons") == 1
     assert "at most the first 5 s are shown" in text
+    assert "Trust holds for motions like those recorded." in text
     assert "@media print" in text
 
 
