@@ -44,6 +44,7 @@ def conf(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_nobody_asks_for_them(conf: Path) -> None:
     assert len(expand(["+sweep=good", "bias=good", "tracking=none"], conf).trials) == 1
     assert {"good", "cut", "table2"} <= set(sweeps(conf))
@@ -91,6 +92,7 @@ def test_a_file_that_changes_is_read_again(tmp_path: Path) -> None:
             assert (config["bias"]["d"] if group == "bias" else config["a"]) == value
 
 
+@pytest.mark.slow
 def test_a_file_whose_aliases_never_end_is_named(tmp_path: Path) -> None:
     for group, use in (("bias", "bias=mine"), ("sweeps", "+sweep=mine")):
         write(tmp_path, {f"{group}/mine.yaml": f"b0: &b0 [1]\n{ALIASES}"})

@@ -61,6 +61,7 @@ def test_every_number_is_bounded_on_both_sides() -> None:
     assert found > 100
 
 
+@pytest.mark.slow
 def test_an_experiment_in_which_nothing_can_fail_is_refused() -> None:
     """Every policy would succeed; so it would in a simulated rollout. Nor may a search stand still."""
     for override in ("task.time_step=1e-6", "task.horizon=9"):

@@ -170,6 +170,7 @@ def expected(x: Array, u: Array, task: Task) -> list[float]:
     ]
 
 
+@pytest.mark.slow
 def test_they_are_their_formulas_and_summed_up_frame_by_frame() -> None:
     task, study = declared(goal=GOAL, failure=None, horizon=25), simbias.load(["preset=cartpole"])
     model = Model(task, study.policy, study.nominal, study.bias.fit(study.no_data))

@@ -211,6 +211,7 @@ class Chaotic(Integral):
         return policy_state, policy_state
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("error", "differs"), [(1e-15, False), (1e-6, True)])
 def test_what_rounding_changes_is_no_difference(error: float, differs: bool) -> None:
     """Code of a law that a rounding off is taken, and code of another law is not."""

@@ -385,6 +385,7 @@ def test_ros_bags_and_mcap(study: Study, rollout: Rollout, tmp_path: Path) -> No
                 Reader(study.task, columns | {"pos1": wrong}).read(path)
 
 
+@pytest.mark.slow
 def test_topics_of_two_clocks_are_told(study: Study, rollout: Rollout, tmp_path: Path) -> None:
     """Where headers and arrival are apart by more in one topic, or in one that has headers alone."""
     columns = {"time": "time", "tau1": "/efforts.effort[0]", "tau2": "/efforts.effort[1]"}
@@ -422,6 +423,7 @@ def test_experiments_are_the_recordings_in_turn() -> None:
     np.testing.assert_allclose(first.inputs[0], start[5:])
 
 
+@pytest.mark.slow
 def test_random_experiments_are_the_first_recordings(rollout: Rollout, tmp_path: Path) -> None:
     """The policies' have those behind. Other files than CSV are none."""
     for count in range(3):

@@ -191,6 +191,7 @@ def test_the_band_holds_what_is_expected(point_mass: Study) -> None:
     assert prediction.largest_change(0.02) == pytest.approx(np.abs(inputs).max() / 0.02, rel=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("uncompiled")
 def test_draws_have_the_pushes_of_the_task_and_the_noise_of_the_hardware(
     monkeypatch: pytest.MonkeyPatch,

@@ -85,6 +85,7 @@ def test_no_posterior_is_far_wider_than_the_prior() -> None:
         assert np.linalg.eigvalsh(bounded.covariance).max() < 1.0 + 1e-9
 
 
+@pytest.mark.slow
 def test_with_the_noise_of_what_is_measured_bounces_tell_of_parameters() -> None:
     found = fitted(position_variance=1e-6, velocity_variance=2.5e-3)
     gravity, ground = found.estimates

@@ -322,6 +322,7 @@ def test_variance_lies_between_the_noise_and_the_prior(study: Study, seed: int, 
     assert (relative <= 1 + np.exp(-4) + 1e-9).all()
 
 
+@pytest.mark.slow
 def test_learned_noise_is_resolved_by_the_inducing_points() -> None:
     """Without noise in the data the learned one is small, and the points are finer."""
     fitted = simbias.load(["tracking=none", "bias=sparse_gp_learned"]).bias.fit(along_trajectories(300))

@@ -83,6 +83,7 @@ def test_phases_of_a_state_that_never_changes(of_point_mass: tuple[Study, list[I
         phases(replace(study, task=task), iterations)
 
 
+@pytest.mark.slow
 def test_costs_are_those_of_the_records(short: Study, trial: list[Iteration]) -> None:
     by_iteration, pairs = costs(short, trial).axes
     measured = [[r.cost for r in iteration.experiments] for iteration in trial]

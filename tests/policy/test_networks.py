@@ -232,6 +232,7 @@ def test_with_targets_a_kalman_filter_is_that_of_the_mean_start() -> None:
     assert task.error(x, 0.0).shape == (0,)
 
 
+@pytest.mark.slow
 def test_where_inputs_cannot_hold_the_robot_they_do_their_best() -> None:
     """One rotor too weak to hover: the other pushes less, too, as the quadrotor would turn."""
     study = simbias.load(["preset=quadrotor_square", "task.inputs.right.limit=5.0"])
@@ -290,6 +291,7 @@ def board(*overrides: str) -> Study:
     return simbias.load([*BOARD, *overrides])
 
 
+@pytest.mark.slow
 def test_it_sees_most_of_what_happens_while_measurements_are_late() -> None:
     """Four frames late: of what moves in them a tenth is missed, by one step of the model."""
     study, rng = board(), np.random.default_rng(0)

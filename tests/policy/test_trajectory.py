@@ -93,6 +93,7 @@ def test_the_law_says_what_x_is_and_what_wraps(cartpole: Study) -> None:
         assert policy.law(theta).words.endswith(said)
 
 
+@pytest.mark.slow
 def test_a_filter_that_diverges_where_no_robot_is_keeps_nothing_from_being_compiled() -> None:
     """States farther than any robot's amplify what is rounded, in NumPy as in what is written down."""
     noise = "policy.noise={velocity_variance: 0.01, angle_variance: 1e-4}"
@@ -106,6 +107,7 @@ def test_a_filter_that_diverges_where_no_robot_is_keeps_nothing_from_being_compi
     assert [part.why_not for part in parts_of(simbias.load(options).first_model())] == [""] * 4
 
 
+@pytest.mark.slow
 def test_written_it_is_what_it_is_in_numpy(cartpole: Study) -> None:
     """With noise; in lanes that are at different times, as rollouts end and others begin."""
     policy, thetas = around(cartpole, 24)

@@ -94,6 +94,7 @@ def test_rotors_are_asked_only_to_push() -> None:
     np.testing.assert_allclose(np.abs(turning).max(axis=0), both.task.input_limit, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_nothing_is_promised_that_no_recording_tells(study: Study) -> None:
     """The second link's mass: not by a first recording, nor by a stronger one after it."""
     robot, _ = truth(study.nominal, np.random.default_rng(0))

@@ -629,6 +629,7 @@ def test_an_option_beside_those_of_ones_own_is_named_as_the_folder() -> None:
     ]
 
 
+@pytest.mark.slow
 def test_short_pieces_are_left_out_and_short_files_refused(study: Study, folder: Path) -> None:
     """A gap behind 0.02 s and one behind 0.3 s leave two pieces that hold a window of 0.2 s."""
     write_csv(Rollout(np.zeros((401, 4)), np.zeros((400, 2))), folder / "cut.csv")

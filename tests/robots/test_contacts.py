@@ -59,6 +59,7 @@ def test_equations_are_the_engines_at_equal_parameters() -> None:
         assert np.abs(np.diff(expected[:, :places], axis=0)).max() > 1e-3
 
 
+@pytest.mark.slow
 def test_what_the_ball_gets_the_cup_loses() -> None:
     """Momentum along x, without damping of the rails: string and walls act on both."""
     study = loaded("ball_in_cup", cup_mass=0.5, ball_mass=0.2)

@@ -173,6 +173,7 @@ def test_what_blows_up_in_compiled_code_is_no_number() -> None:
     assert np.isnan(rollout.states[1]).all()
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_a_process_that_is_forked_does_not_wait_for_places_of_its_parents_threads() -> None:
     """A thread of the parent's that works there does not exist in the child."""

@@ -28,6 +28,7 @@ def test_without_a_model_nothing_moves_or_positions_by_their_rates() -> None:
     np.testing.assert_allclose(residual, h * np.array([[5.0 * h, 5.0], [-7.0 * h, -7.0]]), rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_positions_without_rates_of_their_own_are_refused() -> None:
     task = copy(simbias.load(SCRATCH).task)
     task.states = (*task.states, Quantity("other", "rad"))

@@ -195,6 +195,7 @@ def test_what_cannot_be_is_one_line() -> None:
         simbias.load(["preset=reacher", "policy=trajectory", "~policy.bound", "tracking=none"])
 
 
+@pytest.mark.slow
 def test_a_reachers_joints_are_asked_to_where_its_target_is() -> None:
     """By its outputs, inverse kinematics of the target; the drawing has both."""
     task: Any = simbias.load(["preset=reacher", "tracking=none"]).task

@@ -84,6 +84,7 @@ def rubbing(**friction: float) -> Following:
     return Following(study.model(None, with_values(study.nominal, **friction)), None, sliding=True)
 
 
+@pytest.mark.slow
 def test_inputs_overcome_the_friction_of_their_own_joint() -> None:
     following, rng = rubbing(**ELBOW), np.random.default_rng(0)
     x, u = rng.normal(0.0, [1.0, 1.0, 3.0, 3.0], (20, 4)), rng.uniform(-3.0, 3.0, (20, 1))
@@ -92,6 +93,7 @@ def test_inputs_overcome_the_friction_of_their_own_joint() -> None:
     assert np.abs(following._nominal.step(x, u) - following._sliding.step(x, u)).max() > 0.05
 
 
+@pytest.mark.slow
 def test_small_gains_count_on_the_friction_of_a_joint_without_a_motor() -> None:
     """They bring an acrobot nearer to rest than a regulator of sliding joints does."""
     zero, u_0 = np.zeros(4), np.zeros(1)
@@ -143,6 +145,7 @@ def test_a_plan_rests_at_the_goal_for_the_seconds_that_are_left_to_it(
     assert np.abs(rollout.states[50:, 0]).max() < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("start", "goal", "first", "last"),
     [
@@ -181,6 +184,7 @@ def test_to_a_goal_that_moves_one_plan_begins_at_rest(monkeypatch: pytest.Monkey
     assert begun == [None]
 
 
+@pytest.mark.slow
 def test_a_rest_that_cannot_be_is_one_line() -> None:
     with pytest.raises(ConfigError, match=r"resting: expected less than the horizon's 2 s, got 2 s"):
         simbias.load([*NEAR, "policy.resting=2.0"])

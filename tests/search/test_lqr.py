@@ -206,6 +206,7 @@ def test_what_has_no_lqr_has_no_policies_and_searches_say_so() -> None:
         assert list(lqr_candidates(to_a_target, 3)) == []
 
 
+@pytest.mark.slow
 def test_other_models_are_drawn_and_the_same_each_time() -> None:
     _, model = bongoboard(*DELAY)
     once, again = (list(lqr_candidates(model, 2)) for _ in range(2))

@@ -86,6 +86,7 @@ def minimize(
     return optimizer.minimize(objective, np.array(lower), np.array(upper), rng, target_cost, candidates)
 
 
+@pytest.mark.slow
 def test_direct_finds_known_minimum() -> None:
     optimizer = make("nlopt_direct", max_evaluations=3000, relative_tolerance=1e-12)
     for problem, (objective, lower, upper, minimum) in PROBLEMS.items():

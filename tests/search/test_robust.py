@@ -134,6 +134,7 @@ def test_a_drawn_model_has_masses_as_uncertain_as_declared() -> None:
     np.testing.assert_array_equal(*drawn(0.0, 1))
 
 
+@pytest.mark.slow
 def test_rollouts_may_take_longer_than_experiments(study: Study, uncompiled: None) -> None:
     """Costs are those of rollouts of so many seconds; the experiments stay as long as they are."""
     made = objective(study, rollouts=3, seconds=0.05)

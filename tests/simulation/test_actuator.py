@@ -64,6 +64,7 @@ def test_a_lag_answers_a_step_with_an_exponential() -> None:
     np.testing.assert_allclose(acts, 1.0 - np.exp(-DT * np.arange(1, 101) / 0.02), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_over_a_frame_an_averaged_lag_acts_by_its_mean() -> None:
     """That of a lag that is simulated in a thousandth of a frame; without a lag, the input itself."""
     u, fine = np.random.default_rng(0).normal(size=40), 1000

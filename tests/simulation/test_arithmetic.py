@@ -102,6 +102,7 @@ def test_agrees_with_the_library() -> None:
     np.testing.assert_array_equal(sincos(x), (np.sin(x), np.cos(x)))
 
 
+@pytest.mark.slow
 def test_what_is_not_finite_is_not_a_number_and_what_is_far_away_stays_finite() -> None:
     """A rollout that blows up has failed before."""
     assert np.isnan(all_of(np.array([np.nan, np.inf, -np.inf, 1e308]))[:, :3]).all()

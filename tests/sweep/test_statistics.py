@@ -31,6 +31,7 @@ def test_sixteen_of_sixteen_hold_and_fifteen_do_not() -> None:
     assert not any(holds(text) for text in ("1" * 15, "1" * 15 + "0", ""))
 
 
+@pytest.mark.slow
 def test_an_episode_that_lasts_and_misses_its_goal_is_not_passed() -> None:
     """Nor one that succeeds and fails later; without success of the task's own, what lasts succeeds."""
     assert passed("1100", "1010") == "1000"
@@ -164,6 +165,7 @@ def test_interval_covers_the_mean_in_most_samples() -> None:
         tracemalloc.stop()
 
 
+@pytest.mark.slow
 def test_finished_trials_tell_how_long_the_others_take() -> None:
     """Those of the same cell where there are any, else all of them; without any, nobody knows."""
     sweep = expand(["+sweep=smoke", "tracking=none"])

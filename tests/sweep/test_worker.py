@@ -49,6 +49,7 @@ def test_a_worker_of_another_version_runs_no_trial(plan: Plan, trial: Compositio
     assert run_plan(plan._replace(code={**same, "loaded_later": ""})).summary.outcome.final
 
 
+@pytest.mark.slow
 def test_a_folder_travels_where_no_disk_is_shared(plan: Plan, whole: Path, tmp_path: Path) -> None:
     """There and back: the worker gets what is kept, makes the rest, and sends all; only that counts."""
     folder, there = tmp_path / "trial", tmp_path / "another machine"

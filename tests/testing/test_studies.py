@@ -78,6 +78,7 @@ def test_warm_up_and_checks_keep_to_the_policys_box(
     np.testing.assert_array_equal([*thetas, rollout(narrow).parameters], 0.5)
 
 
+@pytest.mark.slow
 def test_a_cost_is_asked_for_the_horizon_that_an_evaluation_simulates(point_mass: Study) -> None:
     assert problems(replace(point_mass, cost=Constant()), "cost") == []
     long = ["tracking=none", "evaluation=robust", "evaluation.seconds=3"]

@@ -208,6 +208,7 @@ def test_what_cannot_be_read_is_one_line_that_names_the_file(
         read_folder(tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gone", ["*", TRIAL, "0000_search.json", None])
 def test_a_folder_that_is_changed_while_its_trial_runs_stops_it(
     short: Study, whole: Whole, tmp_path: Path, gone: str | None

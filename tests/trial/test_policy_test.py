@@ -44,6 +44,7 @@ def test_it_changes_nothing_in_a_trial() -> None:
     assert summary.hardware_seconds == pytest.approx(plain.task.time_step * sum(frames))
 
 
+@pytest.mark.slow
 def test_a_trial_that_has_ended_without_it_stays_so(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """One line says so, and nothing is written."""
     ended = run_trial(study(), tmp_path)
@@ -54,6 +55,7 @@ def test_a_trial_that_has_ended_without_it_stays_so(tmp_path: Path, caplog: pyte
     assert sorted(tmp_path.iterdir()) == files
 
 
+@pytest.mark.slow
 def test_its_file_is_written_anew_where_it_was_damaged(tmp_path: Path) -> None:
     """But not by a command that asks for another test."""
     tested = ("policy_test.episodes=3", "policy_test.long_episodes=1", "policy_test.long_seconds=9")
@@ -66,6 +68,7 @@ def test_its_file_is_written_anew_where_it_was_damaged(tmp_path: Path) -> None:
     assert (tmp_path / EPISODES).read_bytes() == right
 
 
+@pytest.mark.slow
 def test_what_raises_in_an_episode_is_said_to_be_one(monkeypatch: pytest.MonkeyPatch) -> None:
     def unplugged(*_: Any) -> Rollout:
         raise HardwareError("unplugged")

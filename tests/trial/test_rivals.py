@@ -99,6 +99,7 @@ def test_a_search_on_hardware_moves_no_robot_unasked(point_mass: Study) -> None:
     assert cost(np.zeros(3)) > point_mass.cost.max_cost + 9  # it fails where it starts
 
 
+@pytest.mark.slow
 def test_one_shot_learns_once(point_mass: Study) -> None:
     record = run_trial(replace(point_mass, method=OneShot(batch=3, experiments=2)))
     first, second = record.iterations
