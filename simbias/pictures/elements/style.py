@@ -31,7 +31,7 @@ GREEK = ("alpha", "beta", "gamma", "delta", "theta", "phi", "psi", "omega")
 LIMIT, BEYOND = "0.35", "0.92"  # greys
 SMALL = 8.5  # points
 TICKS = {4.0: (1, 1.5, 2, 3, 4, 5, 7), 20.0: (1, 2, 5), 200.0: (1, 3)}  # by largest over smallest value
-FAR = 3  # decades from 1, beyond which a number is told with its power of ten
+FAR = 3  # decades from 1, beyond which an axis' numbers are told with their powers of ten
 LINE_OF_TEXT = 0.13  # of the height of axes, at most
 
 DOTS_PER_INCH = 120
@@ -122,14 +122,13 @@ def logarithmic_between(axis: Axis, low: float, high: float) -> None:
     logarithmic(axis)
     if subs := next((subs for most, subs in TICKS.items() if high < most * low), None):
         axis.set_major_locator(LogLocator(subs=subs))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: tick_text(value)))
+    far = low < 10.0**-FAR or high > 10.0**FAR
+    axis.set_major_formatter(FuncFormatter(lambda value, _: with_power(value) if far else f"{value:g}"))
 
 
-def tick_text(value: float) -> str:
-    """A positive number, with its power of ten if it is far from 1."""
+def with_power(value: float) -> str:
+    """A positive number with its power of ten."""
     exponent = math.floor(math.log10(value) + 1e-9)
-    if abs(exponent) <= FAR:
-        return f"{value:g}"
     digits = f"{value / 10.0**exponent:g}"
     return f"{'' if digits == '1' else f'{digits}·'}10{superscript(exponent)}"
 
