@@ -212,15 +212,23 @@ class Chaotic(Integral):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("error", "differs"), [(1e-15, False), (1e-6, True)])
-def test_what_rounding_changes_is_no_difference(error: float, differs: bool) -> None:
-    """Code of a law that a rounding off is taken, and code of another law is not."""
+class AgainstFriction(Integral):
+    """A law that makes up for dry friction: any rate at all changes it, and its start is at rest."""
+
+    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
+        return -theta * x[..., :1] - 0.3 * np.sign(x[..., 1:]), policy_state
+
+
+@pytest.mark.parametrize("kind", [Chaotic, AgainstFriction])
+@pytest.mark.parametrize(("error", "differs"), [(1e-15, False), (1e-6, True), (1.0, True)])
+def test_what_rounding_changes_is_no_difference(kind: type[Integral], error: float, differs: bool) -> None:
+    """Code of a law that is a rounding off is taken, and code of another law is not."""
     task, theta = PointMass(), np.ones(1)
     bounds = Bounds(task.input_bounds, np.full(1, np.inf), np.full(2, np.inf), False)
-    law = formulas_of(Chaotic(task), task, theta * (1.0 + error))
+    law = formulas_of(kind(task), task, theta * (1.0 + error))
     assert not isinstance(law, str)
     header, module = c_header(task, law, "", bounds), python_module(task, law, "", bounds)
-    assert bool(difference(Chaotic(task), task, theta, bounds, header, module)) == differs
+    assert bool(difference(kind(task), task, theta, bounds, header, module)) == differs
 
 
 def test_a_policy_that_decides_by_values_says_why() -> None:
