@@ -80,13 +80,13 @@ def build(composition: Composition) -> Study:
         hardware_of=partial(_hardware, config[HARDWARE], own),
         conditions=conditions(whole, task, timeout),
     )
-    _check_known(study, config["identification"].get("known") or {})
+    _check_known(study, config["identification"].get("known"))
     return study
 
 
-def _check_known(study: Study, known: Mapping[str, Any]) -> None:
+def _check_known(study: Study, known: Any) -> None:
     """Refuse a posterior that is of another nominal model than the study's."""
-    if known.get("model") not in (None, model_digest(study)):
+    if isinstance(known, Mapping) and known.get("model") not in (None, model_digest(study)):
         problem = (
             "is of a nominal model with other values or files: identify again (or leave out its `model`)"
         )

@@ -191,18 +191,22 @@ def assess(
         models,
         findings(identified, alone, by_window),
         predictions(study.task, study.nominal, models, [part.rollouts for part in judged], learned),
-        reversed_inputs(study, everything.rollouts),
+        reversed_inputs(study.task, [study.nominal, identified], everything.rollouts),
     )
 
 
-def reversed_inputs(study: Study, rollouts: Sequence[Rollout]) -> dict[str, float]:
+def reversed_inputs(task: Task, models: Sequence[Nominal], rollouts: Sequence[Rollout]) -> dict[str, float]:
     """Inputs whose recorded signs seem to be the model's reversed; errors with the others over those before.
 
-    The one that matters most is the first, and stays reversed: a sign is wrong beside those of the others.
+    Of all models, the one that says so the least counts: where the nominal one lacks a spring, it errs less
+    with the wrong sign below resonance, and the identified one does not. The input that matters most is the
+    first, and stays reversed: a sign is wrong beside those of the others.
     """
-    inputs, found, last = [each.name for each in study.task.inputs], dict[str, float](), 1.0
+    inputs, found, last = [each.name for each in task.inputs], dict[str, float](), 1.0
     while left := [each for each in inputs if each not in found]:
-        tried = {each: if_reversed(study.task, study.nominal, rollouts, [*found, each]) for each in left}
+        tried = {
+            each: max(if_reversed(task, model, rollouts, [*found, each]) for model in models) for each in left
+        }
         best = min(tried, key=lambda name: tried[name])
         if tried[best] >= REVERSED * last:
             break

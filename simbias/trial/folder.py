@@ -21,6 +21,7 @@ had stopped before them. After n withdrawals its outcome is `outcome_n.json`, it
 
 from __future__ import annotations
 
+import re
 import shutil
 import time
 from contextlib import suppress
@@ -36,6 +37,7 @@ from simbias.trial.summary import TrialSummary
 TRIAL, ATTEMPTS, OUTCOME, EPISODES = "trial.json", "attempts.jsonl", "outcome.json", "test_episodes.csv"
 SEARCH, EXPERIMENT, ITERATION = "search.json", "experiment.npz", "iteration.json"
 EPISODE = "test_episode.npz"
+STEP = re.compile(rf"[0-9]{{4,}}_({'|'.join(map(re.escape, (SEARCH, EXPERIMENT, ITERATION, EPISODE)))})")
 PICTURES = "pictures"
 LOCK_SECONDS = 5.0  # that a worker in place of a killed one waits until the system has let go of its lock
 
@@ -126,7 +128,7 @@ class TrialFolder:
 
     def all_steps(self) -> list[Path]:
         """The files of all steps, in the order in which they were made."""
-        found = (file for file in self.path.glob("[0-9]*_*") if file.suffix != PART)
+        found = (file for file in self.path.glob("[0-9]*_*") if STEP.fullmatch(file.name))
         return sorted(found, key=number)
 
     def steps(self) -> list[Path]:

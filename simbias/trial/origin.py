@@ -58,9 +58,13 @@ def digests(study: Study) -> dict[str, str]:
 
 
 def model_digest(study: Study) -> str:
-    """Digest of the nominal model's class, values and files, whichever of the values are uncertain."""
-    fields = study.composition.identity_fields["nominal"].items()
+    """Digest of the nominal model's class, values and files, whichever of the values are uncertain.
+
+    The bongoboard's values are those of its task's robot.
+    """
+    fields, task = study.composition.identity_fields["nominal"].items(), study.config["task"]
     values = {key: value for key, value in fields if key not in ("file", "uncertainty", "sampled")}
+    values |= {"robot": task["robot"]} if "robot" in task else {}
     files = [Path(file).read_bytes() for file in getattr(study.nominal, "source_files", ())]
     return short_digest(b"".join([json.dumps(values, sort_keys=True, default=str).encode(), *files]))
 

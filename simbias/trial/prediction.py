@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from simbias.core import FittedBias, Nominal
 from simbias.core.records import Array, Rollout
 from simbias.robots.none import NoNominal
-from simbias.simulation.noise import QUIET, Noise, without_zeros
+from simbias.simulation.noise import QUIET, Noise, Variances
 from simbias.trial.study import Study
 
 DRAWS, SEED = 40, 0
@@ -83,6 +83,6 @@ def declared_noise(study: Study) -> Noise:
     """The noise that the hardware declares by names of the task's quantities, if it does, and pushes."""
     declared = study.config.get("hardware", {}).get("noise")
     try:
-        return Noise(study.task, without_zeros(dict(declared)) if isinstance(declared, Mapping) else QUIET)
+        return Noise(study.task, TypeAdapter(Variances).validate_python(declared or QUIET))
     except ValueError:  # a class of one's own may mean something else by it
         return Noise(study.task, QUIET)

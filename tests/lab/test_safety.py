@@ -221,6 +221,12 @@ def command(*overrides: str) -> list[str]:
     return ["--config-dir", str(OWN_CONF), "--allow", "point_mass", *POINT_MASS, *quick, *overrides]
 
 
+@pytest.mark.parametrize("noise", [{"angle_variance": "abc"}, {"torque_variance": -1.0}, {"moon": 1.0}, 0.5])
+def test_what_is_no_noise_of_the_tasks_is_none(noise: object, point_mass: Study) -> None:
+    composition = replace(point_mass.composition, config={"hardware": {"noise": noise}})  # type: ignore[type-var]
+    assert prediction.declared_noise(replace(point_mass, composition=composition)).is_silent
+
+
 @pytest.mark.slow
 def test_preview_shows_and_draws_the_first_experiment(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -21,6 +21,7 @@ from simbias.core.records import Array, Rollout
 from simbias.learning.identification.identified import Identified, Known
 from simbias.learning.identification.posterior import Posterior
 from simbias.learning.identification.rig import Rig, Sensor
+from simbias.recordings import assessment as assessing
 from simbias.recordings import horizons, plots
 from simbias.recordings.assessment import Assessment, assess, prepared, reversed_inputs
 from simbias.recordings.excitation import Excitation
@@ -123,20 +124,26 @@ def test_errors_that_noise_and_uncertainty_do_not_explain_are_told(assessment: A
     assert told[1] == [cell.replace("yes", "in this model, which lacks something") for cell in told[0]]
 
 
-def test_an_input_whose_sign_is_the_other_way_is_named(assessment: Assessment, study: Study) -> None:
-    """Here the elbow's; with the signs of the model nothing is said."""
+def test_an_input_whose_sign_is_the_other_way_is_named(
+    assessment: Assessment, study: Study, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Here the elbow's; with the signs of the model nothing is said, nor if the identified one disagrees."""
     assert not assessment.reversed
     elbow = np.array([1.0, -1.0])
     rollouts = [
         replace(each, inputs=elbow * each.inputs) for part in assessment.parts for each in part.rollouts
     ]
-    ((name, times),) = reversed_inputs(study, rollouts).items()
+    ((name, times),) = reversed_inputs(study.task, [study.nominal], rollouts).items()
     assert name == study.task.inputs[1].name
     told = verdict(replace(assessment, reversed={name: times}))
     assert told.endswith(
         f" With the sign of {name} reversed, the nominal model errs {times:.2f} times as much: "
         "check the recorded sign and column."
     )
+    identified, errors = assessment.identified, {study.nominal: 0.6, assessment.identified: 60.0}
+    monkeypatch.setattr(assessing, "if_reversed", lambda task, model, *_: errors[model])
+    assert not reversed_inputs(study.task, [study.nominal, identified], rollouts)
+    assert len(reversed_inputs(study.task, [study.nominal], rollouts)) == 1
 
 
 def test_what_takes_up_a_parameter_that_changes_is_doubted_with_it(assessment: Assessment) -> None:

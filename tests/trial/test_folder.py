@@ -208,6 +208,14 @@ def test_what_cannot_be_read_is_one_line_that_names_the_file(
         read_folder(tmp_path)
 
 
+def test_files_of_ones_own_are_no_steps(tmp_path: Path) -> None:
+    """Whatever they begin with."""
+    names = ["0000_search.json", "10001_experiment.npz"]
+    for name in (*names, "2026-11-27_notes.txt", "1_my_plot.png", "0001_search.json.part"):
+        (tmp_path / name).touch()
+    assert [file.name for file in TrialFolder(tmp_path).all_steps()] == names
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("gone", ["*", TRIAL, "0000_search.json", None])
 def test_a_folder_that_is_changed_while_its_trial_runs_stops_it(

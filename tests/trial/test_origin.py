@@ -115,3 +115,11 @@ def test_versions_of_all_that_is_required() -> None:
     versions = origin._versions()
     assert {"python", "simbias", "mlflow", "nlopt", "mujoco", "gymnasium"} <= set(versions)
     assert not {"pytest", "sphinx"} & set(versions)
+
+
+def test_a_models_digest_is_of_its_values_wherever_they_are_declared() -> None:
+    """The bongoboard's are its robot's; how long an episode takes is no part of a model."""
+    changes = [[], ["task.horizon=100"], ["task.robot.gravity=3.0"], ["nominal.foot_mass=0.5"]]
+    digests = [origin.model_digest(simbias.load([*each, "tracking=none"])) for each in changes]
+    assert digests[0] == digests[1]
+    assert len(set(digests)) == 3

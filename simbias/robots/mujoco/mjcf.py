@@ -215,12 +215,18 @@ def _gear(engine: Any, model: Any, i: int) -> float:
     Those on a ball joint are about three axes, and those on a free joint as at a site.
     """
     gear, kind, target = model.actuator_gear[i], model.actuator_trntype[i], model.actuator_trnid[i, 0]
-    has_axes = kind == engine.mjtTrn.mjTRN_SITE
-    if kind == engine.mjtTrn.mjTRN_JOINT or kind == engine.mjtTrn.mjTRN_JOINTINPARENT:
-        has_axes = model.jnt_type[target] < int(engine.mjtJoint.mjJNT_SLIDE)  # free or ball
-    if not has_axes:
-        return float(gear[0])
-    return float(np.linalg.norm(gear[:3]) or np.linalg.norm(gear[3:]))
+    is_free = kind == engine.mjtTrn.mjTRN_SITE
+    if _is_on_joint(engine, model, i):
+        if model.jnt_type[target] == int(engine.mjtJoint.mjJNT_BALL):
+            return float(np.linalg.norm(gear[:3]))
+        is_free = model.jnt_type[target] == int(engine.mjtJoint.mjJNT_FREE)
+    return float(np.linalg.norm(gear[:3]) or np.linalg.norm(gear[3:])) if is_free else float(gear[0])
+
+
+def _is_on_joint(engine: Any, model: Any, i: int) -> bool:
+    """Whether an actuator acts at a joint, in its own frame or in its parent's."""
+    kind, transmission = model.actuator_trntype[i], engine.mjtTrn
+    return bool(kind == transmission.mjTRN_JOINT or kind == transmission.mjTRN_JOINTINPARENT)
 
 
 def _reach(engine: Any, model: Any, i: int, unit: float) -> tuple[float, float]:
@@ -232,7 +238,7 @@ def _reach(engine: Any, model: Any, i: int, unit: float) -> tuple[float, float]:
     if motor and model.actuator_forcelimited[i]:
         ranges.append(_gear(engine, model, i) * model.actuator_forcerange[i])
     kind, target = model.actuator_trntype[i], model.actuator_trnid[i, 0]
-    if motor and kind == engine.mjtTrn.mjTRN_JOINT and model.jnt_actfrclimited[target]:
+    if motor and _is_on_joint(engine, model, i) and model.jnt_actfrclimited[target]:
         ranges.append(model.jnt_actfrcrange[target])
     if motor and kind == engine.mjtTrn.mjTRN_TENDON and model.tendon_actfrclimited[target]:
         ranges.append(model.tendon_actfrcrange[target])
