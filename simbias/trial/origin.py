@@ -60,7 +60,7 @@ def digests(study: Study) -> dict[str, str]:
 def model_digest(study: Study) -> str:
     """Digest of the nominal model's class, values and files, whichever of the values are uncertain.
 
-    The bongoboard's values are those of its task's robot.
+    A task may hold values of the model, as its `robot`.
     """
     fields, task = study.composition.identity_fields["nominal"].items(), study.config["task"]
     values = {key: value for key, value in fields if key not in ("file", "uncertainty", "sampled")}
