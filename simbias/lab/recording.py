@@ -64,7 +64,6 @@ class Reader:
         file = signals(path, whole_lines)
         notes: list[str] = []
         found = self._signals(file, notes)
-        notes[:0] = file.notes
         bounds = self._pieces(path, found, notes)
         pieces, times = [], []
         for begin, end in bounds:
@@ -78,7 +77,7 @@ class Reader:
             *self._beyond_limits(path, pieces),
             *self._still(pieces),
         ]
-        return Recording(tuple(pieces), tuple(times), tuple(notes))
+        return Recording(tuple(pieces), tuple(times), (*file.notes, *notes))
 
     def _signals(self, file: Signals, notes: list[str]) -> dict[int, Signal]:
         """Signals by the place of states, then inputs, in the task's units and s; angles unwound.

@@ -203,10 +203,9 @@ def reversed_inputs(task: Task, models: Sequence[Nominal], rollouts: Sequence[Ro
     first, and stays reversed: a sign is wrong beside those of the others.
     """
     inputs, found, last = [each.name for each in task.inputs], dict[str, float](), 1.0
+    by_model = [if_reversed(task, model, rollouts) for model in models]
     while left := [each for each in inputs if each not in found]:
-        tried = {
-            each: max(if_reversed(task, model, rollouts, [*found, each]) for model in models) for each in left
-        }
+        tried = {each: max(errs([*found, each]) for errs in by_model) for each in left}
         best = min(tried, key=lambda name: tried[name])
         if tried[best] >= REVERSED * last:
             break

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -140,18 +140,23 @@ def horizons(task: Task, longest: int) -> list[int]:
     return [k for k in sorted({task.frames(seconds) for seconds in HORIZONS}) if k <= longest]
 
 
-def if_reversed(task: Task, nominal: Nominal, rollouts: Sequence[Rollout], names: Sequence[str]) -> float:
-    """Errors of a model with the signs of some inputs reversed, over those with inputs as recorded.
+def if_reversed(
+    task: Task, nominal: Nominal, rollouts: Sequence[Rollout]
+) -> Callable[[Sequence[str]], float]:
+    """Errors of a model with the signs of named inputs reversed, over those with inputs as recorded.
 
     The geometric mean over states and horizons.
     """
-    signs = np.array([-1.0 if each.name in names else 1.0 for each in task.inputs])
-    other = [replace(rollout, inputs=signs * rollout.inputs) for rollout in rollouts]
-    ratios = [
-        ratio(errors(nominal, other, k), errors(nominal, rollouts, k))
-        for k in horizons(task, max(rollout.frames for rollout in rollouts))
-    ]
-    return geometric_mean(np.array(ratios))
+    ahead = horizons(task, max(rollout.frames for rollout in rollouts))
+    recorded = [errors(nominal, rollouts, k) for k in ahead]
+
+    def over_recorded(names: Sequence[str]) -> float:
+        signs = np.array([-1.0 if each.name in names else 1.0 for each in task.inputs])
+        other = [replace(rollout, inputs=signs * rollout.inputs) for rollout in rollouts]
+        pairs = zip(ahead, recorded, strict=True)
+        return geometric_mean(np.array([ratio(errors(nominal, other, k), each) for k, each in pairs]))
+
+    return over_recorded
 
 
 def _known(learned: Sequence[tuple[Nominal, Sequence[Rollout]]], frames: int) -> Known:

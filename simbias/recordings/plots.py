@@ -21,6 +21,7 @@ from simbias.pictures.elements.style import (
     logarithmic,
     logarithmic_between,
     plain,
+    with_unit,
 )
 from simbias.recordings.assessment import Assessment
 from simbias.recordings.findings import Finding
@@ -143,7 +144,7 @@ def _clear(predicted: Array, measured: Array) -> Array:
 
 def _label(state: Quantity) -> str:
     """Name and unit of a state, as in tables."""
-    return f"{literal(state.name)} ({state.unit})"
+    return with_unit(literal(state.name), state.unit)
 
 
 def _line(color: str) -> Line2D:

@@ -141,7 +141,7 @@ def test_an_input_whose_sign_is_the_other_way_is_named(
         "check the recorded sign and column."
     )
     identified, errors = assessment.identified, {study.nominal: 0.6, assessment.identified: 60.0}
-    monkeypatch.setattr(assessing, "if_reversed", lambda task, model, *_: errors[model])
+    monkeypatch.setattr(assessing, "if_reversed", lambda task, model, rollouts: lambda names: errors[model])
     assert not reversed_inputs(study.task, [study.nominal, identified], rollouts)
     assert len(reversed_inputs(study.task, [study.nominal], rollouts)) == 1
 

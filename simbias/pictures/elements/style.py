@@ -52,8 +52,13 @@ def series_style(index: int) -> SeriesStyle:
 
 
 def label(quantity: Quantity | Criterion) -> str:
-    """Name and unit, if it has one, for an axis."""
-    return f"{symbol(quantity.name)} ({quantity.unit})" if quantity.unit else symbol(quantity.name)
+    """Name and unit, for an axis."""
+    return with_unit(symbol(quantity.name), quantity.unit)
+
+
+def with_unit(name: str, unit: str) -> str:
+    """A name, and the unit if there is one."""
+    return f"{name} ({unit})" if unit else name
 
 
 def symbol(name: str) -> str:
@@ -111,7 +116,7 @@ def logarithmic(*all_axis: Axis) -> None:
     for axis in all_axis:
         axis.axes.set(**{f"{axis.axis_name}scale": "log"})  # type: ignore[attr-defined]
         axis.set_major_locator(LogLocator(numticks=8))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"10{superscript(round(math.log10(value)))}"))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: with_power(value)))
         axis.set_minor_locator(NullLocator())
 
 

@@ -26,6 +26,7 @@ from simbias.pictures.elements.style import (
     seconds,
     symbol,
     whole_numbers,
+    with_unit,
 )
 from simbias.pictures.trial.comparison import learned_before
 from simbias.simulation.open_loop import PredictionModel, Windows
@@ -85,7 +86,7 @@ def prediction_errors(
         symbols = [symbol(study.task.states[i].name) for i in states]
         names = NAMES if max(map(len, symbols)) < LONG or "$" in symbols[0] else 1
         lines = [", ".join(symbols[i : i + names]) for i in range(0, len(symbols), names)]
-        row[0].set_ylabel("error of " + ",\n".join(lines) + f" ({unit})" * bool(unit), fontsize=SMALL)
+        row[0].set_ylabel(with_unit("error of " + ",\n".join(lines), unit), fontsize=SMALL)
         _share_scale(row)
     for axes, k in zip(grid[0], horizons, strict=True):
         ahead = seconds(study.task, k)
