@@ -44,8 +44,8 @@ def check_allowed(module: str, key: str, allowed: Sequence[str]) -> None:
         top = module.partition(".")[0]
         raise ConfigError(
             key,
-            f"{quote(module)} is not imported, as it is neither simbias's nor beside a --config-dir: name "
-            f"the folder of its configs so or, if you trust it, --allow {top}",
+            f"{quote(module)} is not imported, as it is neither simbias's nor beside a folder of configs: "
+            f"name that folder by --config-dir or, if you trust the module, --allow {top}",
         )
 
 

@@ -65,7 +65,7 @@ def findings(
         ]
         doubts = [
             "each recording has its own" if elsewhere else _of_shrinkage(shrinkage),
-            "scattered by errors beyond its prior" if deviations[i] > BEYOND_PRIOR else "",
+            "wider than its prior" if deviations[i] > BEYOND_PRIOR else "",
             f"only together with {', '.join(partners)}" if partners else "",
             "at its bound" if at_bound(parameter, estimate.value) else "",
             "far from what was declared" if _from_declared(parameter, fitted.mode[i]) > TAIL else "",

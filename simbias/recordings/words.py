@@ -128,8 +128,8 @@ def undetermined_lines(assessment: Assessment) -> Iterator[str]:
     """A line for each direction that the data do not determine."""
     for direction in assessment.undetermined:
         share = direction.deviation
-        scattered = ": errors scatter it beyond its prior" if share > BEYOND_PRIOR else ""
-        yield f"{direction} (keeps {100 * share:.0f}% of the prior's deviation{scattered})"
+        wider = ": it is wider than its prior" if share > BEYOND_PRIOR else ""
+        yield f"{direction} (keeps {100 * share:.0f}% of the prior's deviation{wider})"
 
 
 def reach_lines(assessment: Assessment) -> Iterator[str]:

@@ -94,7 +94,7 @@ def test_what_is_not_allowed_is_not_imported(project: Path, capsys: pytest.Captu
         assert not (project / "imported").exists()
         assert module == "os" or module not in sys.modules
     with pytest.raises(
-        ConfigError, match=r"bias\._target_: 'beside' is not imported, .*configs so or, .*--allow beside"
+        ConfigError, match=r"bias\._target_: 'beside' is not imported, .*by --config-dir or, .*--allow beside"
     ):
         build(compose(["bias=none", "bias._target_=beside.Mine", "tracking=none"]))  # of no one's folder
 

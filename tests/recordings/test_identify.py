@@ -495,9 +495,11 @@ def test_what_is_far_wider_than_the_prior_hides_nothing(assessment: Assessment) 
     fitted = assessment.identified
     scattered = fitted.with_spread(1.7 * np.eye(len(fitted.parameters)))
     (doubts,) = {each.doubts for each in findings(scattered, [], []) if "at its bound" not in each.doubts}
-    assert doubts == ("the data do not tell", "scattered by errors beyond its prior")
+    assert doubts == ("the data do not tell", "wider than its prior")
     wide = replace(assessment, identified=scattered)
-    assert "(keeps 170% of the prior's deviation: errors scatter it beyond" in next(undetermined_lines(wide))
+    assert "(keeps 170% of the prior's deviation: it is wider than its prior)" in next(
+        undetermined_lines(wide)
+    )
 
 
 def test_a_posterior_far_from_its_prior_is_shown_whole(assessment: Assessment) -> None:
