@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from simbias.core import Nominal, Task
@@ -40,7 +41,9 @@ class Assessment:
     models: Sequence[Identified]  # (parts, then held out) that were not fitted to the part
     findings: Sequence[Finding]
     predictions: Sequence[Prediction]
-    reversed: Mapping[str, float]  # errors of the nominal model with an input's sign reversed, if far smaller
+    reversed: Mapping[
+        str, float
+    ]  # errors of the nominal model with an input's sign reversed, if all err less
 
     @property
     def task(self) -> Task:
@@ -196,20 +199,21 @@ def assess(
 
 
 def reversed_inputs(task: Task, models: Sequence[Nominal], rollouts: Sequence[Rollout]) -> dict[str, float]:
-    """Inputs whose recorded signs seem to be the model's reversed; errors with the others over those before.
+    """Inputs whose recorded signs seem to be the model's reversed, with the errors of the first model so.
 
-    Of all models, the one that says so the least counts: where the nominal one lacks a spring, it errs less
-    with the wrong sign below resonance, and the identified one does not. The input that matters most is the
-    first, and stays reversed: a sign is wrong beside those of the others.
+    Errors are over those before. All models have to say so: where the nominal one lacks a spring, it errs
+    less with the wrong sign below resonance, and the identified one does not. The input that matters most is
+    the first, and stays reversed: a sign is wrong beside those of the others.
     """
-    inputs, found, last = [each.name for each in task.inputs], dict[str, float](), 1.0
+    inputs, found = [each.name for each in task.inputs], dict[str, float]()
     by_model = [if_reversed(task, model, rollouts) for model in models]
+    last = np.ones(len(models))
     while left := [each for each in inputs if each not in found]:
-        tried = {each: max(errs([*found, each]) for errs in by_model) for each in left}
-        best = min(tried, key=lambda name: tried[name])
-        if tried[best] >= REVERSED * last:
+        tried = {each: np.array([errs([*found, each]) for errs in by_model]) for each in left}
+        best = min(tried, key=lambda name: tried[name].max())
+        if tried[best].max() >= REVERSED * last.max():
             break
-        found[best], last = tried[best] / last, tried[best]
+        found[best], last = float(tried[best][0] / last[0]), tried[best]
     return found
 
 

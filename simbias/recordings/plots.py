@@ -33,18 +33,22 @@ DRAWN = 5  # s of a part, at most
 MEASURED: Any = {"color": HARDWARE, "linewidth": 4.0, "alpha": 0.35}  # seen below a prediction that is right
 PRIOR = "0.75"  # grey
 WIDER = 1.0  # times the interval of prior and posterior on either side of it, up to which others are drawn
+NARROW = 0.1  # of the prior's width: if all estimates lie within, they are drawn without its ends
+LONG = 26  # characters of a name and its unit, beyond which the unit has a line of its own
 CLEAR = 6.0  # times the range of what is measured: a prediction beyond is not drawn
 
 
 def parameters(assessment: Assessment) -> Figure:
     """Prior and posterior of each parameter, from 5% to 95%, and its estimates from each part alone.
 
-    The posterior is always shown whole. An estimate from a part that leaves the axes has an arrow there.
+    The posterior is always shown whole. An interval that leaves the axes has an arrow there.
     """
     found = assessment.findings
     figure, (grid,) = panels(len(found), 0.8, COLUMNS)
+    between = "\n" if max(len(f"{each.prior.name}{each.prior.unit}") for each in found) > LONG else " "
     for axes, finding in zip(grid, found, strict=True):
         _parameter(axes, finding)
+        axes.set_title(f"{finding.prior.name}{between}({finding.prior.unit})", fontsize=SMALL)
     alone = f"alone, from top to bottom: {', '.join(literal(part.name) for part in assessment.parts)}"
     shown = {
         "prior, 5% to 95%": Line2D([], [], color=PRIOR, linewidth=3.0),
@@ -57,31 +61,41 @@ def parameters(assessment: Assessment) -> Figure:
 
 def _parameter(axes: Axes, finding: Finding) -> None:
     """The intervals of a parameter, one below the other."""
-    axes.plot(finding.prior_interval, [0, 0], color=PRIOR, linewidth=4.0)
-    rows = [(1.0, finding.estimate, SIMULATION, 4.0, "o")]
-    rows += [(2 + 0.5 * i, each, HARDWARE, 1.2, "s") for i, each in enumerate(finding.by_part)]
-    low, high = _view(finding)
-    for y, each, color, width, marker in rows:
-        axes.plot(np.clip([each.low, each.high], low, high), [y, y], color=color, linewidth=width)
-        for beyond, edge, arrow in ((each.low < low, low, "<"), (each.high > high, high, ">")):
+    one = finding.estimate
+    rows: list[tuple[float, float, float, float | None, str, float, str]] = [
+        (0.0, *finding.prior_interval, None, PRIOR, 4.0, ""),
+        (1.0, one.low, one.high, one.value, SIMULATION, 4.0, "o"),
+    ]
+    for i, each in enumerate(finding.by_part):
+        rows.append((2 + 0.5 * i, each.low, each.high, each.value, HARDWARE, 1.2, "s"))
+    left, right = _view(finding)
+    for y, low, high, value, color, width, marker in rows:
+        axes.plot(np.clip([low, high], left, right), [y, y], color=color, linewidth=width)
+        for beyond, edge, arrow in ((low < left, left, "<"), (high > right, right, ">")):
             if beyond:
                 axes.plot(edge, y, arrow, color=color, markersize=4 + width, clip_on=False)
-        if low <= each.value <= high:
-            axes.plot(each.value, y, marker, color=color, markersize=4, markeredgecolor="white")
+        if value is not None and left <= value <= right:
+            axes.plot(value, y, marker, color=color, markersize=4, markeredgecolor="white")
     axes.set_ylim(2.5 + 0.5 * len(finding.by_part), -0.5)
     axes.set_yticks([])
     axes.locator_params(axis="x", nbins=3)
     axes.xaxis.set_major_formatter("{x:g}")
-    axes.set_title(f"{finding.prior.name} ({finding.prior.unit})", fontsize=SMALL)
     axes.tick_params(labelsize=SMALL)
     axes.spines[["left"]].set_visible(False)
     plain(axes)
 
 
 def _view(finding: Finding) -> tuple[float, float]:
-    """The interval that is drawn of a parameter: that of prior and posterior, and room around it."""
-    low = min(finding.prior_interval[0], finding.estimate.low)
-    high = max(finding.prior_interval[1], finding.estimate.high)
+    """The interval that is drawn of a parameter, with room around it.
+
+    That of prior and posterior or, if estimates have become far narrower than the prior, that of estimates.
+    """
+    low, high = finding.prior_interval
+    estimates = [finding.estimate, *finding.by_part]
+    lowest, highest = min(each.low for each in estimates), max(each.high for each in estimates)
+    if highest - lowest < NARROW * (high - low):
+        low, high = lowest, highest
+    low, high = min(low, finding.estimate.low), max(high, finding.estimate.high)
     room = WIDER * (high - low)
     return low - room, high + room
 

@@ -18,6 +18,7 @@ from simbias.recordings.parts import Part
 from simbias.trial.study import Study
 
 ENDS = (*CSV, *BAGS)
+KINDS = f"{', '.join(ENDS)}, or a ROS 2 bag"
 
 
 class Recordings(NamedTuple):
@@ -125,8 +126,10 @@ def _files(place: Path) -> list[Path]:
     found = [place]
     if place.is_dir() and not bag:
         found = sorted(each for end in ENDS for each in place.glob(f"*{end}"))
-    if not found or not all(bag or file.is_file() for file in found):
-        raise ConfigError(str(place), f"no such recording ({', '.join(ENDS)}, or a ROS 2 bag)")
+    if not found:
+        raise ConfigError(str(place), f"is a folder without recordings of its own ({KINDS})")
+    if not all(bag or file.is_file() for file in found):
+        raise ConfigError(str(place), f"no such recording ({KINDS})")
     return found
 
 

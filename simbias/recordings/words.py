@@ -6,9 +6,11 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from simbias.core import Quantity
 from simbias.recordings.assessment import Assessment
 from simbias.recordings.excitation import Excitation
 from simbias.recordings.findings import BEYOND_PRIOR
+from simbias.recordings.horizons import LARGEST, SMALLEST
 
 PARAMETER_NAMES = (
     "parameter",
@@ -24,6 +26,7 @@ ERROR_NAMES = ("horizon (s)", "predictions", "over nominal", "90% region holds")
 MEAN = "in the geometric mean over states and horizons"
 WORTH = 0.1  # share by which an experiment has to narrow a parameter to be named
 REMEDY = "measure what you can otherwise (masses by weighing or another load), and declare it"
+MEND = "errors are larger than the model explains, so mend the recordings or the model first"
 TRUST = (
     "Trust holds for motions like those recorded. To test it, hold out a faster or stronger one (--held-out)."
 )
@@ -37,8 +40,9 @@ def verdict(assessment: Assessment) -> str:
     what = "recordings that were held out" if assessment.held_out else "parts that it was not fitted to"
     if assessment.better:
         none = "" if any(finding.trusted for finding in assessment.findings) else " No parameter is trusted."
-        worse = [f"{one.seconds:g}" for one in assessment.predictions if one.ratio() > 1.0]
-        ahead = f" It errs more after {', '.join(worse)} s." if worse else ""
+        worse = [f"after {one.seconds:g} s" for one in assessment.predictions if one.ratio() > 1.0]
+        worse += [f"in {each.name}" for each in _worse(assessment)]
+        ahead = f" It errs more {', '.join(worse)}." if worse else ""
         return (
             f"On {what}, the identified model errs {assessment.ratio:.2f} times as much as "
             f"the nominal one{each}, {MEAN}.{ahead}{none}{_lacking(assessment)}{_reversed(assessment)}"
@@ -47,6 +51,13 @@ def verdict(assessment: Assessment) -> str:
         f"The identified model is no better than the nominal one on {what}: it errs "
         f"{assessment.ratio:.2f} times as much{each}, {MEAN}. Do not use it.{_reversed(assessment)}"
     )
+
+
+def _worse(assessment: Assessment) -> list[Quantity]:
+    """States in which the identified model errs more, on average over horizons."""
+    both = np.array([prediction.rmse() for prediction in assessment.predictions])  # (horizons, 2, n)
+    errors = np.log(np.clip(both, SMALLEST, LARGEST)).mean(axis=0)
+    return [state for state, more in zip(assessment.task.states, errors[1] > errors[0], strict=True) if more]
 
 
 def _lacking(assessment: Assessment) -> str:
@@ -62,11 +73,12 @@ def _lacking(assessment: Assessment) -> str:
 
 def _reversed(assessment: Assessment) -> str:
     """A sentence for each input whose recorded sign seems to be the model's reversed; else ""."""
-    return "".join(
-        f" With the sign of {name} reversed, the nominal model errs {times:.2f} times as much: "
-        "check the recorded sign and column."
-        for name, times in assessment.reversed.items()
-    )
+    said = ""
+    for name, times in assessment.reversed.items():
+        also = ", too," if said else ","
+        said += f" With the sign of {name} reversed{also} the nominal model errs {times:.2f} times as much"
+        said += ": check the recorded sign and column."
+    return said
 
 
 def parameter_rows(assessment: Assessment) -> Iterator[Sequence[str]]:
@@ -164,4 +176,5 @@ def advice(assessment: Assessment, excitation: Excitation | str) -> Iterator[str
         yield f"No further {seconds:g} s within the limits should narrow a parameter by {100 * WORTH:.0f}%."
     left = [names[i] for i in np.flatnonzero(~own & ~worth & (excitation.deviations > 0.5))]
     if left:
-        yield f"No input should tell {', '.join(left)}: {REMEDY}."
+        wrong = assessment.reversed or assessment.unexplained is not None
+        yield f"No input should tell {', '.join(left)}: {MEND if wrong else REMEDY}."

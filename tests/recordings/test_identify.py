@@ -122,6 +122,12 @@ def test_errors_that_noise_and_uncertainty_do_not_explain_are_told(assessment: A
     told = [[row[-1] for row in parameter_rows(each)] for each in (assessment, lacking)]
     assert "yes" in told[0]
     assert told[1] == [cell.replace("yes", "in this model, which lacks something") for cell in told[0]]
+    pairs = [zip(one.identified, one.nominal, strict=True) for one in assessment.predictions]
+    mixed = [tuple(np.hstack([own[:, :-1], 1.1 * of[:, -1:]]) for own, of in pair) for pair in pairs]
+    worse = [replace(one, identified=each) for one, each in zip(assessment.predictions, mixed, strict=True)]
+    assert f" It errs more in {assessment.task.states[-1].name}." in verdict(
+        replace(assessment, predictions=worse)
+    )
 
 
 def test_an_input_whose_sign_is_the_other_way_is_named(
@@ -142,8 +148,11 @@ def test_an_input_whose_sign_is_the_other_way_is_named(
     )
     identified, errors = assessment.identified, {study.nominal: 0.6, assessment.identified: 60.0}
     monkeypatch.setattr(assessing, "if_reversed", lambda task, model, rollouts: lambda names: errors[model])
-    assert not reversed_inputs(study.task, [study.nominal, identified], rollouts)
+    both = [study.nominal, identified]
+    assert not reversed_inputs(study.task, both, rollouts)
     assert len(reversed_inputs(study.task, [study.nominal], rollouts)) == 1
+    errors[identified] = 0.8
+    assert [*reversed_inputs(study.task, both, rollouts).values()] == [0.6]  # the nominal model's
 
 
 def test_what_takes_up_a_parameter_that_changes_is_doubted_with_it(assessment: Assessment) -> None:
