@@ -11,7 +11,7 @@ from simbias.core.ranges import Coordinate, Positive
 from simbias.core.records import Array, Indices
 from simbias.simulation.compiler import Expression, Expressions
 
-LARGEST = 1e100  # of a sum: in a frame, a simulated state may grow beyond all numbers
+LARGEST = 1e100  # of a sum, where a simulated state grows beyond all numbers; of what is no number elsewhere
 
 
 @final
@@ -19,7 +19,8 @@ class Declared(Cost):
     """Z = c (T - t_fail) / T + the mean of `running` + the largest `peak`, if positive, + the last `final`.
 
     Expressions are those of `simbias.simulation.compiler.expressions`: of states, inputs, the time t in s,
-    the error of each quantity of the task's goal as `angle_error`, and constants.
+    the error of each quantity of the task's goal as `angle_error`, and constants. One that is no number in a
+    finite state, as the root of what is negative, costs the most there.
 
     Parameters
     ----------
@@ -50,12 +51,13 @@ class Declared(Cost):
     def terms(self, x_next: Array, u: Array, t: Any) -> Array:
         """The values (..., 3) of the expressions in frames."""
         e = self._task.error(x_next, t)
-        running, peak, final = np.moveaxis(
-            self._expressions(np.concatenate([x_next, u, np.stack([t], axis=-1), e], axis=-1)), -1, 0
-        )
+        values = self._expressions(np.concatenate([x_next, u, np.stack([t], axis=-1), e], axis=-1))
+        running, peak, final = np.moveaxis(np.where(np.abs(values) >= 0.0, values, LARGEST), -1, 0)
         ends = 1.0 * (t > (self.horizon - 0.5) * self.time_step)
-        each = 0.0 * t  # a number in every frame, also of an expression that is constant
-        return np.stack([running + each, peak + each, ends * final], axis=-1)
+        each = 0.0 * (
+            t + np.sum(x_next, axis=-1)
+        )  # in every frame, also of constants; nan beyond all numbers
+        return np.stack([running + each, peak + each, ends * final + each], axis=-1)
 
     def of_totals(self, totals: Array, lost: Indices) -> Array:
         """Z (...) of sums and peaks (..., 3) and the frames (...) lost by failure."""
