@@ -11,8 +11,7 @@ from pydantic import Field
 from simbias.core import Nominal, Policy, Task
 from simbias.core.ranges import NonNegative, Positive
 from simbias.core.records import Array
-from simbias.policy.network import Bound, Network, Units
-from simbias.policy.networks import Kind
+from simbias.policy.network import Bound, Kind, Network, Units
 from simbias.policy.observer import ObserverKind, holding
 from simbias.simulation.linearization import linear_regulator, linearization
 from simbias.simulation.noise import QUIET, Variances
