@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import numpy as np
 
 from simbias.core import Optimizer
+from simbias.core.errors import ConfigError
 from simbias.core.evaluations import Evaluations
 from simbias.core.ranges import Deviation, EvaluationCount, Population, Share
-from simbias.core.records import Array
 from simbias.search.optimizer.cma import FLAT, RESOLUTION, evolve
 from simbias.search.optimizer.nlopt import Algorithm, search_nlopt
-from simbias.search.optimizer.sobol import search_sobol
+
+TOGETHER = 16  # points of a sequence evaluated at once: a power of two keeps it balanced
 
 
 @dataclass(kw_only=True, eq=False)
@@ -50,26 +52,38 @@ class Hybrid(Optimizer):
 
     def search(self, evaluations: Evaluations, rng: np.random.Generator) -> str:
         """Explore and refine, again and again as long as that fails."""
+        explore = search_sobol if self.exploration == "sobol" else partial(search_nlopt, self.exploration)
         deviation = self.candidate_deviation if evaluations.count else None
         while True:
             if deviation is None and not evaluations.below_target:
-                start = evaluations.explored(lambda part: self._explore(part, rng), self.explorations)
+                start = evaluations.explored(lambda part: explore(part, rng), self.explorations)
             else:
                 start = evaluations.start
-            stopped_by = self._refined(evaluations, rng, start, deviation or self.initial_deviation)
+            deviation = deviation or self.initial_deviation
+            resolution = self.resolution * deviation / self.initial_deviation
+            stopped_by = evolve(evaluations, rng, start, deviation, self.population, resolution)
             if stopped_by == FLAT or (evaluations.below_target and stopped_by != RESOLUTION):
                 return stopped_by
             deviation = None
 
-    def _explore(self, evaluations: Evaluations, rng: np.random.Generator) -> str:
-        """The global search; why it ended, in words."""
-        if self.exploration == "sobol":
-            return search_sobol(evaluations, rng)
-        return search_nlopt(self.exploration, evaluations, rng)
 
-    def _refined(
-        self, evaluations: Evaluations, rng: np.random.Generator, start: Array, deviation: float
-    ) -> str:
-        """CMA-ES from a point (p,); why it ended. Its resolution is in proportion to its deviation."""
-        resolution = self.resolution * deviation / self.initial_deviation
-        return evolve(evaluations, rng, start, deviation, self.population, resolution)
+def search_sobol(evaluations: Evaluations, rng: np.random.Generator) -> str:
+    """Evaluate a scrambled sequence, whose points never wait for each other, until the evaluations end.
+
+    A. B. Owen, "Scrambling Sobol' and Niederreiter-Xing points".
+
+    Raises
+    ------
+    ConfigError
+        If no sequence has so many dimensions.
+    """
+    from scipy.stats import qmc  # takes long to import
+
+    p, most = len(evaluations.lower), qmc.Sobol.MAXDIM
+    if p > most:
+        raise ConfigError("optimizer.exploration", f"sobol takes {most} parameters at most, not {p}")
+    sequence = qmc.Sobol(p, scramble=True, rng=rng)
+    width = evaluations.upper - evaluations.lower
+    while True:
+        points = evaluations.lower + width * sequence.random(TOGETHER)
+        evaluations.evaluate_all(list(points))
