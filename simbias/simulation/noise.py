@@ -1,14 +1,15 @@
-"""Noise and pushes, on hardware and in simulation (Section VI-A)."""
+"""Noise and pushes, on hardware and in simulation (Section VI-A), and what sensors see before noise."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
 from pydantic import AfterValidator
 
 from simbias.core import Push, Task
-from simbias.core.ranges import Variance
+from simbias.core.ranges import Coordinate, Variance
 from simbias.core.records import Array, Disturbance
 from simbias.core.robot import by_quantity
 
@@ -20,6 +21,8 @@ def without_zeros(values: dict[str, float]) -> dict[str, float]:
 
 # As in a config: `torque_variance: 0.1`, of a quantity or of all of a kind, in the square of its unit.
 Variances = Annotated[dict[str, Variance], AfterValidator(without_zeros)]
+# `theta: 0.01`, of a quantity in its unit.
+Offsets = Annotated[dict[str, Coordinate], AfterValidator(without_zeros)]
 QUIET: dict[str, float] = {}
 
 
@@ -71,3 +74,25 @@ class Noise:
         height = rng.uniform(*push.amplitude, push.pulses) * rng.choice([-1.0, 1.0], push.pulses)
         width = rng.uniform(*push.seconds, push.pulses)
         return (height * np.exp(-0.5 * ((self._times - middle) / width) ** 2)).sum(axis=1)
+
+
+class Sensor:
+    """Sees each state some frames late, and some quantities off by a constant.
+
+    Raises
+    ------
+    ValueError
+        If the task has no state of that name.
+    """
+
+    def __init__(self, task: Task, offsets: Offsets, delay: int) -> None:
+        names = [state.name for state in task.states]
+        unknown = sorted(set(offsets) - set(names))
+        if unknown:
+            raise ValueError(f"no state is called {', '.join(unknown)}; there is {', '.join(names)}")
+        self._offset = np.array([offsets.get(name, 0.0) for name in names])
+        self._delay = delay
+
+    def read(self, states: Sequence[Array], t: int) -> Array:
+        """The reading (n,) in frame t, of the t + 1 states (n,) so far; at first, of the start."""
+        return states[max(0, t - self._delay)] + self._offset

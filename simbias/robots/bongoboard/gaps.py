@@ -10,7 +10,7 @@ from pydantic import Field
 
 from simbias.core.ranges import Coordinate, Force, Inertia, Lag, MassOrZero, NonNegative, Positive, Slope
 from simbias.simulation.actuator import MOST_TAPS, Actuator
-from simbias.simulation.sensor import Offsets
+from simbias.simulation.noise import Offsets
 
 Delay = Annotated[int, Field(ge=0, le=MOST_TAPS)]  # frames
 

@@ -16,8 +16,7 @@ from simbias.robots.bongoboard.gaps import NO_GAPS, Gaps
 from simbias.robots.bongoboard.task import Bongoboard, deviations
 from simbias.simulation.actuator import Actuators
 from simbias.simulation.control_loop import Record, Robot, experiment
-from simbias.simulation.noise import Noise, Variances
-from simbias.simulation.sensor import Sensor
+from simbias.simulation.noise import Noise, Sensor, Variances
 
 InertiaError = Annotated[float, Field(ge=-0.99, le=100)]
 Depth = Annotated[float, Field(ge=1e-9, le=1.0)]  # m
