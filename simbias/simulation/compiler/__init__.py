@@ -5,28 +5,27 @@ Everything that others use of it is imported from here.
 | what for | from |
 | --- | --- |
 | components that have a kernel, or are fast in NumPy | `kernels`, `choices`, `trigonometry` |
-| compiling, and text of it | `compilation`, `text` |
+| compiling | `compilation` |
 | kernels for all lanes at once | `lanes` |
 | components that are written in YAML | `expressions` |
 | tables that a policy looks up by the time | `tables` |
-| kernels of a model, its policy and cost | `tracing`, `symbols`, `rules`, `points`, `agreement` |
+| kernels of a model, its policy and cost | `tracing`, `symbols`, `rules`, `agreement` |
 | a policy's formulas, in C and in Python | `tracing`, `written` |
 | the loops that run them | `closed_loop`, `open_loop`, `loop`, `threads` |
 """
 
 # ruff: noqa: F401  (what others import)
 
+from simbias.simulation.compiler.agreement import points_among, points_of
 from simbias.simulation.compiler.choices import at_least, at_most
 from simbias.simulation.compiler.closed_loop import Composition, compile_closed_loop
 from simbias.simulation.compiler.compilation import compiled_as, function_of
 from simbias.simulation.compiler.expressions import Expression, Expressions
 from simbias.simulation.compiler.kernels import LANES, elementwise
 from simbias.simulation.compiler.lanes import broadcast, cosine_of_turns, everywhere, exp, fma, load, store
-from simbias.simulation.compiler.loop import Function, constant
+from simbias.simulation.compiler.loop import Function, constant, sum_of
 from simbias.simulation.compiler.open_loop import compile_open_loop
-from simbias.simulation.compiler.points import points_among, points_of
 from simbias.simulation.compiler.tables import scheduled
-from simbias.simulation.compiler.text import sum_of
 from simbias.simulation.compiler.threads import in_threads
 from simbias.simulation.compiler.tracing import (
     PolicyKernel,

@@ -7,8 +7,7 @@ from functools import lru_cache
 from typing import Any
 
 from simbias.simulation.compiler.kernels import LANES
-from simbias.simulation.compiler.loop import Function, Loop
-from simbias.simulation.compiler.text import assign, sum_of, tuple_of
+from simbias.simulation.compiler.loop import Function, Loop, assign, sum_of, tuple_of
 
 # Policy parameters are (k, r) or, of policies that look a table up, (k, r + 1 + K c): the seconds between its
 # rows, and the rows.

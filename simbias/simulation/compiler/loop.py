@@ -27,7 +27,6 @@ from simbias.core.records import Array
 from simbias.simulation.compiler.compilation import OPTIONS, Compilation
 from simbias.simulation.compiler.kernels import LANES
 from simbias.simulation.compiler.lanes import as_integers
-from simbias.simulation.compiler.text import assign, tuple_of
 
 INTEGERS = ("running", "number", "frame", "ending")  # of each lane; one without a pass is not running
 
@@ -240,6 +239,28 @@ def fill(template: str, **blocks: Sequence[str]) -> str:
         return "".join(f"{match['indent']}{line}\n" for line in lines if line.strip())
 
     return re.sub(r"^(?P<indent> *)\{(?P<name>\w+)\}\n", block, template, flags=re.MULTILINE)
+
+
+def tuple_of(element: str, size: int, offset: int = 0) -> str:
+    """The text of a tuple of `size` elements, each written with its index and its index after an offset."""
+    return f"({''.join(element.format(i, offset + i) + ', ' for i in range(size))})"
+
+
+def sum_of(terms: Sequence[str]) -> str:
+    """The sum of terms, in pairs, so that few of them wait for each other.
+
+    A kernel has its long sums written out. Where a loop takes elements of a long tuple by their index, LLVM
+    keeps the loop, and with it the whole closed loop out of the lanes.
+    """
+    if len(terms) < 2:
+        return "".join(terms) or "0.0"
+    half = len(terms) // 2
+    return f"({sum_of(terms[:half])} + {sum_of(terms[half:])})"
+
+
+def assign(rows: str, values: str, size: int) -> list[str]:
+    """A tuple is put into a lane."""
+    return [f"{rows}[{i}, lane] = {values}[{i}]" for i in range(size)]
 
 
 def _constant(x, u, parameters):

@@ -6,8 +6,7 @@ from functools import lru_cache
 from typing import Any
 
 from simbias.simulation.compiler.kernels import LANES
-from simbias.simulation.compiler.loop import Function, Loop
-from simbias.simulation.compiler.text import tuple_of
+from simbias.simulation.compiler.loop import Function, Loop, tuple_of
 
 # Pass b is model b // r on experiment b % r of r experiments, which lie one after the other in states (F, n)
 # and inputs (F, m). Their windows begin at `firsts`, `leads` frames after the experiments.

@@ -25,8 +25,7 @@ from simbias.core import Cost, FittedBias, Kernel, Model, Nominal, Policy, Task
 from simbias.core.error_origin import is_users, written_at
 from simbias.core.messages import with_type
 from simbias.core.records import Array
-from simbias.simulation.compiler.agreement import compare, compare_frames, rows
-from simbias.simulation.compiler.points import ROWS, Points, points_of
+from simbias.simulation.compiler.agreement import ROWS, Points, compare, compare_frames, points_of, rows
 from simbias.simulation.compiler.symbolic_arrays import array, row, symbols_in
 from simbias.simulation.compiler.symbols import LOOKED_UP, Symbol, Trace, TraceError
 from simbias.simulation.compiler.tables import Lookup, scheduled
