@@ -194,11 +194,13 @@ class KalmanFilter(Observer):
         return x, holding(task, self._nominal, x)
 
     def _delay(self) -> int:
-        """Frames until more than half of an input acts."""
+        """Frames until more than half of an input acts; none where it never does."""
         nominal, limit = self._nominal, input_scale(self._task)
         x, hidden = np.zeros((2, len(self.gain))), np.zeros((2, nominal.state_size))
         u = np.stack([limit, 0.0 * limit])
         at_once = np.abs(np.subtract(*nominal.step(x, u))).sum()
+        if not at_once:  # as of a model that knows positions and rates alone
+            return 0
         for frames in range(MOST_AHEAD):
             moved, hidden = nominal.advance(x, u, hidden)
             if np.abs(np.subtract(*moved)).sum() > 0.5 * at_once:

@@ -27,6 +27,7 @@ from simbias.policy.observer import (
 )
 from simbias.policy.switched import Switched
 from simbias.policy.trajectory import Trajectory
+from simbias.robots.none import NoNominal
 from simbias.simulation.compiled import CompiledSimulator
 from simbias.simulation.linearization import linearization
 from simbias.simulation.noise import Noise
@@ -253,6 +254,7 @@ def test_a_kalman_filter_knows_late_inputs_and_what_the_next_one_will_meet(
     observer = KalmanFilter(turning, cartpole.nominal).designed_on(motor)
     assert observer.frames_ahead == 2
     assert KalmanFilter(turning, cartpole.nominal).frames_ahead == 0
+    assert KalmanFilter(turning, NoNominal(turning, kinematics=True)).frames_ahead == 0
     u = rng.uniform(-30.0, 30.0, (frames, 1))
     x, hidden = np.zeros((frames + 1, 4)), np.zeros(motor.state_size)
     x[0, 1] = 0.2
