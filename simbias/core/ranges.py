@@ -71,5 +71,6 @@ Deviation = Annotated[float, Field(ge=1e-6, le=100)]  # in units of a box's widt
 Spread = Annotated[float, Field(ge=0, le=5)]  # standard deviation of a logarithm
 Scale = Annotated[float, Field(ge=1e-9, le=1e9)]  # what other numbers are divided by
 Positive = Annotated[float, Field(gt=0, le=1e9)]
+Bound = Annotated[float, Field(gt=0, le=100)]  # of parameters that are searched
 NonNegative = Annotated[float, Field(ge=0, le=1e9)]
 Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]

@@ -8,10 +8,10 @@ import numpy as np
 from pydantic import Field
 
 from simbias.core import Policy, Task
+from simbias.core.ranges import Bound
 from simbias.core.records import Array
 from simbias.policy.gains import TINY, inverse_signed_exponential, least_squares_gains, signed_exponential
 
-Bound = Annotated[float, Field(gt=0, le=100)]
 FilterSeconds = Annotated[float, Field(ge=0, le=10)]
 IntegralRate = Annotated[float, Field(ge=0, le=100)]  # 1/s
 DelaySeconds = Annotated[float, Field(ge=0, le=1)]

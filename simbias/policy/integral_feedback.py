@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import numpy as np
-from pydantic import Field
 
 from simbias.core import Policy, Task
+from simbias.core.ranges import Bound
 from simbias.core.records import Array
 from simbias.policy.gains import inverse_signed_exponential, least_squares_gains, signed_exponential
 
@@ -26,12 +24,7 @@ class IntegralFeedback(Policy):
         Names of the outputs that are integrated; None is the first one.
     """
 
-    def __init__(
-        self,
-        task: Task,
-        bound: Annotated[float, Field(gt=0, le=100)] = 10.0,
-        outputs: list[str] | None = None,
-    ) -> None:
+    def __init__(self, task: Task, bound: Bound = 10.0, outputs: list[str] | None = None) -> None:
         names = [output.name for output in task.outputs]
         chosen = names[:1] if outputs is None else outputs
         for name in chosen:

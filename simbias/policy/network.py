@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from simbias.core import Nominal, Policy, Task
-from simbias.core.ranges import NonNegative
+from simbias.core.ranges import Bound, NonNegative
 from simbias.core.records import Array
 from simbias.policy.limits import limits_of
 from simbias.policy.observer import OBSERVERS, LookAhead, ObserverKind
@@ -17,7 +17,6 @@ from simbias.simulation.noise import QUIET, Variances
 
 Kind = Literal["mlp", "rbf"]
 Units = Annotated[int, Field(ge=1, le=200)]
-Bound = Annotated[float, Field(gt=0, le=100)]
 
 
 class Perceptron:

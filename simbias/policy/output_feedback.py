@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, final
+from typing import final
 
 import numpy as np
-from pydantic import Field
 
 from simbias.core import Law, Policy, Task
+from simbias.core.ranges import Bound
 from simbias.core.records import Array
 from simbias.policy.gains import inverse_signed_exponential, least_squares_gains, signed_exponential
 
@@ -16,7 +16,7 @@ from simbias.policy.gains import inverse_signed_exponential, least_squares_gains
 class OutputFeedback(Policy):
     """u = H z (Eq. 9), its gains searched as h-hat (Eq. 10) within +-`bound` (Table I)."""
 
-    def __init__(self, task: Task, bound: Annotated[float, Field(gt=0, le=100)] = 10.0) -> None:
+    def __init__(self, task: Task, bound: Bound = 10.0) -> None:
         self._task = task
         self.n_parameters = len(task.inputs) * len(task.outputs)
         self.bounds = (np.full(self.n_parameters, -bound), np.full(self.n_parameters, bound))

@@ -9,9 +9,9 @@ import numpy as np
 from pydantic import Field
 
 from simbias.core import Nominal, Policy, Task
-from simbias.core.ranges import NonNegative, Positive
+from simbias.core.ranges import Bound, NonNegative, Positive
 from simbias.core.records import Array
-from simbias.policy.network import Bound, Kind, Network, Units
+from simbias.policy.network import Kind, Network, Units
 from simbias.policy.observer import ObserverKind, holding
 from simbias.simulation.linearization import linear_regulator, linearization
 from simbias.simulation.noise import QUIET, Variances
