@@ -89,8 +89,8 @@ def test_inputs_overcome_the_friction_of_their_own_joint() -> None:
     following, rng = rubbing(**ELBOW), np.random.default_rng(0)
     x, u = rng.normal(0.0, [1.0, 1.0, 3.0, 3.0], (20, 4)), rng.uniform(-3.0, 3.0, (20, 1))
     asked = u + following._compensation(x, u, 0)
-    np.testing.assert_allclose(following._nominal.step(x, asked), following._sliding.step(x, u), atol=2e-3)
-    assert np.abs(following._nominal.step(x, u) - following._sliding.step(x, u)).max() > 0.05
+    np.testing.assert_allclose(following._nominal.step(x, asked), following.sliding.step(x, u), atol=2e-3)
+    assert np.abs(following._nominal.step(x, u) - following.sliding.step(x, u)).max() > 0.05
 
 
 @pytest.mark.slow
@@ -100,7 +100,7 @@ def test_small_gains_count_on_the_friction_of_a_joint_without_a_motor() -> None:
     assert not rubbing(**ELBOW)._for_friction(zero, u_0, 100.0).any()
     following = rubbing(**ELBOW, **SHOULDER)
     beside = following._for_friction(zero, u_0, 100.0)
-    A, B = linearization(following._sliding, zero, u_0, np.array([6.0]))
+    A, B = linearization(following.sliding, zero, u_0, np.array([6.0]))
     R = 100.0 * np.array([[6.0**-2]])
     S = solve_discrete_are(A, B, np.eye(4), R)
     soft = np.linalg.solve(R + B.T @ S @ B, B.T @ S @ A)

@@ -1,4 +1,4 @@
-"""The policy that follows a plan: feedforward, and gains of deviations that vary in time.
+"""Plans of a model, and the policy that follows one: feedforward, and gains of deviations that vary in time.
 
 Gains are of states alone: what the state does not show has none.
 """
@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,10 +17,10 @@ from simbias.core.records import Array
 from simbias.policy.trajectory import Trajectory
 from simbias.search.goal import goal_along, moves
 from simbias.search.lqr import rest
-from simbias.search.optimizer.plan import Plan, Slopes
 from simbias.search.optimizer.riccati import regulator, solved
-from simbias.simulation.linearization import linear_regulator, linearization
+from simbias.simulation.linearization import advanced, derivatives, linear_regulator, linearization
 
+STEP = 1e-3  # of differences: of states, and of inputs over their limits
 STIFFER = 30.0  # times that gains at rest grow for the friction of joints without a motor
 ALONG = 0.1  # share of a joint's friction that is not along the inputs' effect, below which they overcome it
 BISECTIONS = 30
@@ -27,8 +29,16 @@ AT_REST = 0.5  # of each state, in its unit, within which a plan is as good as a
 SETTLED = 1000  # frames, after which the gains of a rest are those of an infinite horizon
 
 
+class Plan(NamedTuple):
+    """A trajectory of the model."""
+
+    states: Array  # (T+1, n)
+    inputs: Array  # (T, m)
+    cost: float
+
+
 class Following:
-    """Policies that follow plans of a model, as it is or as its joints slide.
+    """Policies that follow plans of a model, as it is or as its joints slide, and the model's slopes there.
 
     Deviations weigh what the cost says of the goal's errors or, if it is not quadratic, 1 in each state's
     unit.
@@ -36,9 +46,9 @@ class Following:
 
     def __init__(self, model: Model, weights: GoalWeights | None = None, sliding: bool = False) -> None:
         self._task, self._n, self._m = model.task, len(model.task.states), len(model.task.inputs)
-        self.slopes = Slopes(model)
-        self._sliding, self._nominal = self.slopes.sliding, model.nominal
-        self.model = replace(model, nominal=self._sliding) if sliding else model
+        self._nominal, self._bias = model.nominal, model.bias
+        self.sliding = model.nominal.without_dry_friction()
+        self.model = replace(model, nominal=self.sliding) if sliding else model
         self._off_goal = None if weights is None else weights.errors  # (g,)
 
     def policies(self, plan: Plan, policy: Trajectory, input_weights: Sequence[float]) -> Iterator[Array]:
@@ -51,7 +61,7 @@ class Following:
         deviations from rest, which count on the friction of joints that no input moves.
         """
         ahead, task = policy.frames_ahead, self._task
-        slopes = self.slopes.at_once if ahead else self.slopes.of_model
+        slopes = self._slopes_at_once if ahead else self.slopes
         M, Q = slopes(plan.states, plan.inputs), self._state_weights(plan.states)
         x, u = plan.states, np.concatenate([plan.inputs, plan.inputs[-1:]])
         final, settled = None, len(x)
@@ -77,7 +87,31 @@ class Following:
 
     def gains(self, states: Array, inputs: Array, weight: float) -> Array:
         """K_t (T+1, m, n) along states (T+1, n) and inputs (T, m) that begin and end anywhere."""
-        return self._gains(self.slopes.of_model(states, inputs), self._state_weights(states), weight, None)
+        return self._gains(self.slopes(states, inputs), self._state_weights(states), weight, None)
+
+    def goal_slopes(self, states: Array) -> Array:
+        """Derivatives (T+1, g, n) of the goal's quantities along states (T+1, n)."""
+        return derivatives(self._task.aim, states, np.full(self._n, STEP))
+
+    def slopes(self, states: Array, inputs: Array) -> Array:
+        """M (T, l, l+m) of the model with its model state, along states (T+1, n) and inputs (T, m).
+
+        Its joints slide: dry friction is steep at rest.
+        """
+        model_state = self._nominal.model_states(states[:-1], inputs)
+        points = np.concatenate([states[:-1], model_state, inputs], axis=-1)
+        steps = STEP * np.concatenate([np.ones(self._n + model_state.shape[-1]), self._task.input_limit])
+        return derivatives(partial(advanced, self.sliding, self._bias, self._n), points, steps)
+
+    def _slopes_at_once(self, states: Array, inputs: Array) -> Array:
+        """M (T, n, n+m), as `slopes`, as if inputs acted at once."""
+        n, steps = self._n, STEP * np.concatenate([np.ones(self._n), self._task.input_limit])
+
+        def after(points: Array) -> Array:
+            x, u = points[..., :n], points[..., n:]
+            return self.sliding.step(x, u) + self._bias.correction(x, u)
+
+        return derivatives(after, np.concatenate([states[:-1], inputs], axis=-1), steps)
 
     def _settled(self, x: Array, x_rest: Array) -> int:
         """The first frame of `STAYS` in a row near rest, of states x (T+1, n); T+1 if there is none."""
@@ -94,7 +128,7 @@ class Following:
         them grow `STIFFER` times; none along the inputs' own effect, as an input overcomes that at once.
         """
         n, limit = self._n, self._task.input_limit
-        sliding, B = linearization(self._sliding, x, u, limit)
+        sliding, B = linearization(self.sliding, x, u, limit)
         friction = linearization(self._nominal, x, u, limit)[0] - sliding
         others = friction - B @ np.linalg.lstsq(B, friction, rcond=None)[0]
         friction[:, np.linalg.norm(others, axis=0) <= ALONG * np.linalg.norm(friction, axis=0)] = 0.0
@@ -115,7 +149,7 @@ class Following:
         """Weights (T+1, n, n) of deviations from states (T+1, n), for gains."""
         if self._off_goal is None:
             return np.tile(np.eye(self._n), (len(states), 1, 1))
-        G = self.slopes.of_goal(states)
+        G = self.goal_slopes(states)
         return np.einsum("g,tgi,tgj->tij", self._off_goal, G, G)
 
     def _gains(self, M: Array, Q: Array, weight: float, final: Array | None) -> Array:
@@ -132,8 +166,8 @@ class Following:
     def _compensation(self, states: Array, inputs: Array, ahead: int) -> Array:
         """Further inputs (T+1, m) that overcome dry friction at states (T+1, n) some frames later."""
         x = states[np.minimum(np.arange(len(states)) + ahead, len(states) - 1)]
-        lost = self._sliding.step(x, inputs) - self._nominal.step(x, inputs)
-        _, B = linearization(self._sliding, x, inputs, self._task.input_limit)
+        lost = self.sliding.step(x, inputs) - self._nominal.step(x, inputs)
+        _, B = linearization(self.sliding, x, inputs, self._task.input_limit)
         return (np.linalg.pinv(B) @ lost[..., None])[..., 0]
 
 

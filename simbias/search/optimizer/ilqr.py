@@ -20,8 +20,7 @@ from simbias.core.records import Array
 from simbias.policy.trajectory import Trajectory
 from simbias.search.goal import goal_along, moves
 from simbias.search.lqr import rest
-from simbias.search.optimizer.following import Following
-from simbias.search.optimizer.plan import Plan
+from simbias.search.optimizer.following import Following, Plan
 from simbias.search.optimizer.riccati import Quadratic, beside, solved
 from simbias.simulation.closed_loop import simulator
 
@@ -58,37 +57,26 @@ def trajectory_candidates(
     """
     if not count:
         return
-    policy = follower(models[0].task, models[0].policy)
-    begun_at_rest = (True,) if moves(goal_along(models[0].task)) else (False, True)
+    task, policy = models[0].task, follower(models[0].task, models[0].policy)
+    if policy.resting:  # the plan ends before, and rests
+        task = task.with_horizon(task.horizon - task.frames(policy.resting))
+    begun_at_rest = (True,) if moves(goal_along(task)) else (False, True)
     for at_rest, model in product(begun_at_rest, models):
-        shooting = Shooting(_shortened(model, policy.resting), weights, policy.sliding)
+        shooting = Shooting(replace(model, task=task), weights, policy.sliding)
         rngs = [None] if at_rest else np.random.default_rng(SEED).spawn(count)
         found = [plan for plan in map(shooting.plan, rngs) if plan is not None]
         if found:
             best = min(found, key=lambda plan: plan.cost)
             yield from shooting.following.policies(best, policy, GAIN_WEIGHTS)
             return
-    task = models[0].task
     limits = zip(task.inputs, *task.input_bounds, strict=True)
     inputs = ", ".join(f"{each.name} from {least:g} to {most:g} {each.unit}" for each, least, most in limits)
     problem = f"the model fails whatever inputs a trajectory begins with: {inputs}"
     raise ConfigError("method.trajectories", problem)
 
 
-def _shortened(model: Model, resting: float) -> Model:
-    """The model's task without the seconds at its end in which a plan rests."""
-    task = model.task
-    return replace(model, task=task.with_horizon(task.horizon - task.frames(resting))) if resting else model
-
-
 def follower(task: Task, policy: Policy) -> Trajectory:
-    """The policy, which follows trajectories.
-
-    Raises
-    ------
-    ConfigError
-        If it does not, or if its plan is to rest at a goal that moves.
-    """
+    """The policy; ConfigError if it follows no trajectory, or its plan is to rest at a goal that moves."""
     if not isinstance(policy, Trajectory):
         problem = f"{type(policy).__name__} follows no trajectory; policy=trajectory does"
         raise ConfigError("method.trajectories", problem)
@@ -109,8 +97,8 @@ class Shooting:
     def __init__(self, model: Model, weights: GoalWeights | None = None, sliding: bool = False) -> None:
         task = model.task
         self.following = Following(model, weights, sliding)
-        self._slopes, self._task = self.following.slopes, task
-        self._frictionless = replace(model, nominal=self._slopes.sliding)
+        self._task = task
+        self._frictionless = replace(model, nominal=self.following.sliding)
         self._n, self._m, self._T = len(task.states), len(task.inputs), task.horizon
         self._every_frame = Trajectory(task, model.nominal, task.horizon + 1)
         self._simulator = simulator(replace(self.following.model, policy=self._every_frame))
@@ -153,9 +141,9 @@ class Shooting:
     def _improved(self, plan: Plan, damping: float) -> Plan | None:
         """A trajectory that costs less, if there is one."""
         task, weights = self._task, self._weights
-        M = self._slopes.of_model(plan.states, plan.inputs)
+        M = self.following.slopes(plan.states, plan.inputs)
         hidden = 0, M.shape[1] - self._n
-        G = self._slopes.of_goal(plan.states)
+        G = self.following.goal_slopes(plan.states)
         e = task.aim(plan.states) - self._goal
         slope = np.pad(np.einsum("tg,tgn->tn", weights * e, G), ((0, 0), hidden))
         curvature = np.pad(np.einsum("tg,tgi,tgj->tij", weights, G, G), ((0, 0), hidden, hidden))
