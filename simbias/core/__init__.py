@@ -24,6 +24,8 @@ same numbers but for rounding; a component may offer a `kernel` in their place
 (`simbias.simulation.compiler.kernels`).
 """
 
+# ruff: noqa: F401  (what others import)
+
 from simbias.core.kernel import Kernel, SlowWarning
 from simbias.core.model import Bias, FittedBias, Identification, Model, Nominal, Samples
 from simbias.core.objective import Objective
@@ -42,34 +44,3 @@ from simbias.core.robot import (
     wrapped,
 )
 from simbias.core.search import Cost, Evaluation, GoalWeights, Optimizer, Simulator
-
-__all__ = [
-    "NOT_A_NUMBER",
-    "Bias",
-    "Controller",
-    "Cost",
-    "Criterion",
-    "Evaluation",
-    "FittedBias",
-    "GoalWeights",
-    "Hardware",
-    "HardwareError",
-    "Identification",
-    "Kernel",
-    "Law",
-    "Model",
-    "Nominal",
-    "Objective",
-    "Optimizer",
-    "Policy",
-    "Push",
-    "Quantity",
-    "Samples",
-    "Simulator",
-    "SlowWarning",
-    "Task",
-    "Waiting",
-    "failure_name",
-    "rates_and_positions",
-    "wrapped",
-]
