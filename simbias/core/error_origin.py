@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import sys
 import traceback
-from collections.abc import Iterator
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 from simbias import core
@@ -24,23 +22,16 @@ def is_own(component: Any) -> bool:
     return type(component).__module__.partition(".")[0] != PACKAGE
 
 
-def raised_by(error: BaseException) -> str:
-    """`Class.method` of the user's component in which an error arose; "" if it arose in none."""
-    blamed, name = None, ""
-    for frame in _frames(error):
-        component = frame.f_locals.get("self")
-        if isinstance(component, CONTRACTS) and is_own(component) and component is not blamed:
-            blamed, name = component, f"{type(component).__name__}.{frame.f_code.co_name}"
-    return name
-
-
 def told(error: BaseException) -> str:
-    """The message of an error, with the component in which it arose if that is the user's."""
-    source = raised_by(error)
+    """The message of an error, with the component's class and method if it arose in the user's."""
+    blamed, source, place = None, "", ""
+    for frame, line in traceback.walk_tb(error.__traceback__):
+        component, code = frame.f_locals.get("self"), frame.f_code
+        place = f"{Path(code.co_filename).name}:{line}"
+        if isinstance(component, CONTRACTS) and is_own(component) and component is not blamed:
+            blamed, source = component, f"{type(component).__name__}.{code.co_name}"
     if not source or isinstance(error, core.HardwareError):
         return with_type(error)
-    *_, (frame, line) = traceback.walk_tb(error.__traceback__)
-    place = f"{Path(frame.f_code.co_filename).name}:{line}"
     return f"{source}: expected a result, got {with_type(error)} ({place})"
 
 
@@ -55,7 +46,8 @@ def has_own_code(error: BaseException) -> bool:
     causes = [error]
     while (cause := causes[-1].__cause__) is not None and cause not in causes:
         causes.append(cause)
-    return any(is_users(frame.f_code.co_filename) for each in causes for frame in _frames(each))
+    frames = (frame for each in causes for frame, _ in traceback.walk_tb(each.__traceback__))
+    return any(is_users(frame.f_code.co_filename) for frame in frames)
 
 
 def is_users(file: str) -> bool:
@@ -65,8 +57,3 @@ def is_users(file: str) -> bool:
         return False
     roots = (Path(__file__).parent.parent, *map(Path, {sys.base_prefix, sys.prefix}))
     return not any(path.is_relative_to(root) for root in roots)
-
-
-def _frames(error: BaseException) -> Iterator[FrameType]:
-    """The frames that an error passed through, the outermost first."""
-    return (frame for frame, _ in traceback.walk_tb(error.__traceback__))

@@ -81,15 +81,10 @@ def _compiles(frame: FrameType | None) -> bool:
 
 
 def _interrupt_soon() -> None:
-    """Interrupt the main thread after a moment."""
-    again = threading.Timer(AGAIN, _interrupt)
+    """Interrupt the main thread after a moment, also where it waits."""
+    if sys.platform == "win32":
+        again = threading.Timer(AGAIN, _thread.interrupt_main)
+    else:
+        again = threading.Timer(AGAIN, signal.pthread_kill, (threading.main_thread().ident, signal.SIGINT))
     again.daemon = True  # the end of the program does not wait for it
     again.start()
-
-
-def _interrupt() -> None:
-    """Interrupt the main thread, also where it waits."""
-    if sys.platform == "win32":
-        _thread.interrupt_main()
-    else:
-        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
