@@ -52,8 +52,8 @@ def _constant(vector: ir.VectorType, value: float) -> ir.Constant:
     return ir.Constant(vector, [ir.Constant(vector.element, value)] * LANES)
 
 
-def _binary(instruction: str) -> Callable:
-    """An operation, lane by lane."""
+def _overload(function: Callable, instruction: str) -> None:
+    """Let Python's operator be that instruction, lane by lane."""
 
     @intrinsic
     def operation(context, a, b):
@@ -61,13 +61,6 @@ def _binary(instruction: str) -> Callable:
             return getattr(builder, instruction)(*arguments)
 
         return REGISTERS(a, b), generate
-
-    return operation
-
-
-def _overload(function: Callable, instruction: str) -> None:
-    """Let Python's operator be that instruction."""
-    operation = _binary(instruction)
 
     @overload(function)
     def operate(a, b):
@@ -158,6 +151,13 @@ def broadcast(context, array, index):
     return REGISTERS(LINE, int64), generate
 
 
+def _call(builder, name, arguments):
+    """A call of LLVM's own function of registers that has this name."""
+    function = ir.FunctionType(_FLOATS, [_FLOATS] * len(arguments))
+    name = f"llvm.{name}.v{LANES}f32"
+    return builder.call(cgutils.get_or_insert_function(builder.module, function, name), arguments)
+
+
 @intrinsic
 def fma(context, a, b, c):
     """a b + c, rounded once where the processor can.
@@ -166,9 +166,7 @@ def fma(context, a, b, c):
     """
 
     def generate(context, builder, signature, arguments):
-        fma = ir.FunctionType(_FLOATS, [_FLOATS] * 3)
-        name = f"llvm.fmuladd.v{LANES}f32"
-        return builder.call(cgutils.get_or_insert_function(builder.module, fma, name), arguments)
+        return _call(builder, "fmuladd", arguments)
 
     return REGISTERS(a, b, c), generate
 
@@ -178,9 +176,7 @@ def _rounded(context, lanes):
     """To the nearest integers."""
 
     def generate(context, builder, signature, arguments):
-        rint = ir.FunctionType(_FLOATS, [_FLOATS])
-        name = f"llvm.rint.v{LANES}f32"
-        return builder.call(cgutils.get_or_insert_function(builder.module, rint, name), arguments)
+        return _call(builder, "rint", arguments)
 
     return REGISTERS(lanes), generate
 

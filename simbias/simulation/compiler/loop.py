@@ -158,10 +158,7 @@ class Loop:
             settle += [f"    {line}" for line in self._settled(x_new)]
         else:
             constants.append(correct.read("bias"))
-            advance += [
-                f"d = correct({self._x}, u_, bias_data)",
-                *self._settled("y[{0}] + d[{0}]"),
-            ]
+            advance += [f"d = correct({self._x}, u_, bias_data)", *self._settled("y[{0}] + d[{0}]")]
         take = [self.take, f"for i in range({step.parameters}):"]
         take += ["    nominal[i, lane] = nominal_parameters[model, i]"]
         take += [f"for i in range({self.n_model_state}):", "    model_state[i, lane] = 0.0"]
@@ -189,16 +186,12 @@ class Loop:
         if not self.n_model_state:
             return [f"y = step({self._x}, u_, {step.own('nominal')})"]
         state = tuple_of("model_state[{}, lane]", self.n_model_state)
+        acted = "".join(f"model_state_next[{row}], " for row in self.acting)
         return [
             f"y, model_state_next = step({self._x}, u_, {step.own('nominal')}, {state})",
             *assign("model_state", "model_state_next", self.n_model_state),
-            *self._acted(),
+            *([f"u_ = ({acted})"] if acted else []),  # for the bias
         ]
-
-    def _acted(self) -> list[str]:
-        """A line that sets u_ to what acted, for the bias; none if that is the command."""
-        rows = "".join(f"model_state_next[{row}], " for row in self.acting)
-        return [f"u_ = ({rows})"] if rows else []
 
     def _settled(self, x_new: str) -> list[str]:
         """Lines that set the next state."""
