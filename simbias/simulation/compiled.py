@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from simbias.core import Cost, Kernel, Model, Nominal, Task
+from simbias.core import Cost, Kernel, Model
 from simbias.core.records import Array, Disturbance, Indices, Rollout
 from simbias.simulation.compiler import (
     Composition,
@@ -19,24 +19,19 @@ from simbias.simulation.compiler import (
     of_cost,
     parts_of,
 )
-from simbias.simulation.numpy_loop import costs_of, record, shaped
-
-RECORDED = 256  # rollouts recorded at once: their records take memory
+from simbias.simulation.numpy_loop import MOST, costs_of, record, shaped
 
 
 @dataclass(frozen=True, eq=False)
 class CompiledSimulator:
     """The closed loop of components that all have kernels, own or traced, in one scenario or in several."""
 
-    task: Task
+    models: tuple[Model, ...]  # of each scenario; a kernel's parameters may be addresses of what is theirs
     measure: Kernel
     policy: PolicyKernel
-    n_policy_state: int
-    n_model_state: int
     nominal: Kernel  # its parameters (w, .) in each scenario
     bias: Kernel
     noise: Array  # (w, T+1, m+n) on the inputs and on the sensors; (w, 0, m+n) without noise
-    models: tuple[Nominal, ...]  # held on to: a kernel's parameters may be addresses of what is theirs
     cost: Cost | None = None  # summed up of recorded rollouts, too: one loop is compiled for both
 
     @staticmethod
@@ -47,7 +42,7 @@ class CompiledSimulator:
         parts = parts_of(model)
         if any(part.kernel is None for part in parts):
             return None
-        task, sizes = model.task, (model.policy.state_size, model.nominal.state_size)
+        task = model.task
         measure, policy, nominal, bias = (part.kernel for part in parts)
         rows = 0 if disturbance is None else task.horizon + 1
         noise = np.zeros((1, rows, len(task.inputs) + len(task.states)))
@@ -55,7 +50,7 @@ class CompiledSimulator:
             noise[0, :-1, : len(task.inputs)] = disturbance.inputs
             noise[0, :, len(task.inputs) :] = disturbance.sensors
         nominal = Kernel(nominal.function, nominal.parameters[None])
-        return CompiledSimulator(task, measure, policy, *sizes, nominal, bias, noise, (model.nominal,), cost)
+        return CompiledSimulator((model,), measure, policy, nominal, bias, noise, cost)
 
     @staticmethod
     def join(simulators: Sequence[CompiledSimulator]) -> CompiledSimulator | None:
@@ -73,14 +68,15 @@ class CompiledSimulator:
 
     def _runs_in_lockstep_with(self, other: CompiledSimulator) -> bool:
         """Whether their scenarios differ in nothing but the nominal parameters' values and the noise's."""
+        model, others = self.models[0], other.models[0]
         return (
-            self.task is other.task
+            model.task is others.task
             and self.policy is other.policy
             and self.bias.function is other.bias.function
             and self.bias.parameters is other.bias.parameters
             and self.nominal.function is other.nominal.function
-            and self.n_model_state == other.n_model_state
-            and self.models[0].acting == other.models[0].acting
+            and model.nominal.state_size == others.nominal.state_size
+            and model.nominal.acting == others.nominal.acting
             and self.nominal.parameters.shape[1:] == other.nominal.parameters.shape[1:]
             and self.noise.shape[1:] == other.noise.shape[1:]
         )
@@ -91,31 +87,32 @@ class CompiledSimulator:
 
     def rollouts(self, thetas: Array, starts: Array, scenarios: Indices | None = None) -> list[Rollout]:
         """Run each theta of (k, p) from its start of (k, n) in its scenario of (k,), on all threads."""
-        task, rollouts = self.task, []
-        for first in range(0, len(thetas), RECORDED):
-            some = slice(first, first + RECORDED)
+        criteria, rollouts = self.models[0].task.criteria, []
+        for first in range(0, len(thetas), MOST):
+            some = slice(first, first + MOST)
             own = None if scenarios is None else scenarios[some]
             batch = self._run(self.cost, True, thetas[some], starts[some], own)
             ends = batch.frames.tolist(), batch.violated.tolist()
             each = zip(batch.states, batch.inputs, *ends, strict=True)
-            rollouts += [record(task.criteria, *one) for one in each]
+            rollouts += [record(criteria, *one) for one in each]
         return rollouts
 
     def costs(
         self, cost: Cost, thetas: Array, starts: Array, scenarios: Indices | None = None
     ) -> tuple[Array, Indices]:
         """Costs and frames (k,) of these rollouts; nothing is recorded if its terms can be traced."""
-        if of_cost(cost, self.task).kernel is None:
+        task = self.models[0].task
+        if of_cost(cost, task).kernel is None:
             return costs_of(cost, self.rollouts(thetas, starts, scenarios))
         batch = self._run(cost, False, thetas, starts, scenarios)
-        lost = np.where(batch.violated < 0, 0, self.task.horizon - batch.frames)
+        lost = np.where(batch.violated < 0, 0, task.horizon - batch.frames)
         return cost.of_totals(batch.totals, lost), batch.frames
 
     def _run(
         self, cost: Cost | None, recorded: bool, thetas: Array, starts: Array, scenarios: Indices | None
     ) -> RolloutBatch:
         """Rollouts, recorded or not; the cost's terms are summed up, if they can be traced."""
-        k, task = len(thetas), self.task
+        k, task = len(thetas), self.models[0].task
         starts = shaped("starts", starts, k, len(task.states))
         rows = k if recorded else 0
         batch = RolloutBatch(
@@ -143,24 +140,24 @@ class CompiledSimulator:
 
     def _composition(self, terms: Kernel | None, cost: Cost | None) -> Composition:
         """The functions and sizes that the closed loop is compiled from."""
-        task, policy = self.task, self.policy
+        model, policy = self.models[0], self.policy
         return Composition(
             measure=Function.of(self.measure),
             control=Function(policy.function, len(policy.constants)),
             step=Function.of(self.nominal),
             correct=Function.of(self.bias),
             terms=Function.of(terms) if terms else None,
-            n=len(task.states),
-            m=len(task.inputs),
-            criteria=len(task.criteria),
+            n=len(model.task.states),
+            m=len(model.task.inputs),
+            criteria=len(model.task.criteria),
             policy_parameters=policy.size,
             columns=policy.columns,
-            n_policy_state=self.n_policy_state,
-            n_model_state=self.n_model_state,
+            n_policy_state=model.policy.state_size,
+            n_model_state=model.nominal.state_size,
             reductions=cost.reductions if cost and terms else (),
             noisy=self.noise.shape[1] > 0,
-            acting=self.models[0].acting,
-            targets=len(task.targets),
+            acting=model.nominal.acting,
+            targets=len(model.task.targets),
         )
 
 
