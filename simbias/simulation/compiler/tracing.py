@@ -29,7 +29,7 @@ from simbias.simulation.compiler.agreement import ROWS, Points, compare, compare
 from simbias.simulation.compiler.symbolic_arrays import array, row, symbols_in
 from simbias.simulation.compiler.symbols import LOOKED_UP, Symbol, Trace, TraceError
 from simbias.simulation.compiler.tables import Lookup, scheduled
-from simbias.simulation.compiler.written import Formulas, Written, columns, needed, written
+from simbias.simulation.compiler.written import Formulas, columns, needed, written
 
 
 class KernelOrReason(NamedTuple):
@@ -111,7 +111,7 @@ def _traced(component: Any, method: str, vectors: dict[str, Array], sizes: Seque
         ]
         made = subject(*given)
         results = _vectors(made if len(sizes) > 1 else (made,), sizes, trace)
-        return Kernel(*written(trace, results, ", ".join(arguments)))
+        return written(trace, results, ", ".join(arguments))
 
     def check(subject: Callable, kernel: Kernel) -> None:
         given = {**vectors, "p": tuple(kernel.parameters)}
@@ -124,24 +124,15 @@ def _traced(component: Any, method: str, vectors: dict[str, Array], sizes: Seque
 class PolicyKernel(NamedTuple):
     """A policy's `act` for any thetas: what depends on them alone is computed once for each."""
 
-    prepare: Written
-    control: Written
+    function: Callable  # (parameters, x, t, policy_state, constants) -> u, policy_state; a row comes last
+    constants: Array  # (c,) numbers that all thetas share
+    prepare: Kernel  # of thetas: the parameters
     size: int  # r, of the parameters that it reads one by one
     columns: int = 0  # c, of the table behind them that is looked up by the time
 
-    @property
-    def function(self) -> Callable:
-        """(parameters, x, t, policy_state, constants) -> u, policy_state; a table's row comes last."""
-        return self.control.function
-
-    @property
-    def constants(self) -> Array:
-        """Numbers (c,) that all thetas share."""
-        return self.control.numbers
-
     def parameters(self, thetas: Array) -> Array:
         """Parameters (k, r) of the kernel for thetas (k, p); with a table, (k, r + 1 + K c)."""
-        return rows(columns(self.prepare.function, thetas, tuple(self.prepare.numbers)), len(thetas))
+        return rows(columns(self.prepare.function, thetas, tuple(self.prepare.parameters)), len(thetas))
 
     def looked_up(self, parameters: Array, t: float) -> tuple[Array, ...]:
         """The rows (k, c) of the tables at time t: the last argument of the function, if it has one."""
@@ -161,8 +152,8 @@ def of_policy(policy: Policy, task: Task, points: Points) -> KernelOrReason:
         fixed, lookup = _of_thetas_alone(trace, [u, kept]), Lookup.among(needed(trace, [u, kept]))
         arguments = "p, x, t, policy_state, c" + ", row" * bool(lookup.columns)
         return PolicyKernel(
+            *written(trace, [u, kept], arguments, fixed, "c", lookup.columns),
             written(trace, [[*fixed, *lookup.table]], "theta, p"),
-            written(trace, [u, kept], arguments, fixed, "c", lookup.columns),
             *(len(fixed), len(lookup.columns)),
         )
 

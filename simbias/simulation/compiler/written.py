@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from simbias.core.records import Array
+from simbias.core import Kernel
 from simbias.simulation.compiler.choices import at_least, at_most, chosen, greater, lesser
 from simbias.simulation.compiler.compilation import function_of
 from simbias.simulation.compiler.rules import OF_NUMPY, ROUNDED
@@ -194,13 +194,6 @@ class Formulas(NamedTuple):
         return any(symbol.name == LOOKED_UP for symbol in needed(self.trace, [self.u, self.policy_state]))
 
 
-class Written(NamedTuple):
-    """A kernel's function, and the numbers in it."""
-
-    function: Callable
-    numbers: Array  # (c,), the last of its parameters
-
-
 def written(
     trace: Trace,
     results: Sequence[Sequence[Symbol]],
@@ -208,8 +201,8 @@ def written(
     before: Sequence[Symbol] = (),
     numbers_name: str = "p",
     looked_up: Sequence[Symbol] = (),
-) -> Written:
-    """The function for Numba that gives these vectors; p is what is computed before, numbers have a name too.
+) -> Kernel:
+    """The kernel that gives these vectors; p is what is computed before, numbers (c,) have a name too.
 
     What is looked up in a table is a row of its own. Of the same operations it is the same function.
     """
@@ -223,7 +216,7 @@ def written(
     lines.append(f"return {', '.join(vectors)}")
     text = f"def traced({arguments}):\n    " + "\n    ".join(lines) + "\n"
     values = np.array([each.value for each in numbers], np.float64)
-    return Written(function_of(text, "traced", **NAMES), values)
+    return Kernel(function_of(text, "traced", **NAMES), values)
 
 
 def needed(trace: Trace, results: Sequence[Sequence[Symbol]], known: Collection[int] = ()) -> list[Symbol]:
