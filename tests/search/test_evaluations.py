@@ -12,6 +12,7 @@ from simbias.config.build import construct
 from simbias.core import Objective, Optimizer
 from simbias.core.evaluations import EVALUATION_LIMIT, STEP_LIMIT, TIME_LIMIT, Budget, Evaluations
 from simbias.core.records import Array, Optimum
+from simbias.search.optimizer.cma import NO_PROGRESS
 from simbias.search.optimizer.lookahead import MOST, look_ahead
 
 TARGET = np.array([1.0, -2.0])
@@ -169,6 +170,23 @@ def test_a_search_that_ends_before_it_has_judged_a_point_gives_its_start() -> No
         assert (optimum.cost, optimum.stopped_by) == (objective.cost(optimum.parameters), reason)
         assert optimum.evaluations == sum(objective.calls)
         assert not optimum.flat
+
+
+@pytest.mark.parametrize("cost", [2.0, -2.0])
+def test_a_search_ends_where_means_of_generations_do_not_improve(cost: float) -> None:
+    """Also where costs are below zero, as those that are declared may be."""
+    rng = np.random.default_rng(0)
+
+    class Alike(Objective):
+        fresh = True
+
+        def together(self, thetas: Array) -> Array:
+            return np.full(len(thetas), cost)
+
+        def rank(self, thetas: Array) -> Array:
+            return rng.uniform(size=len(thetas))
+
+    assert searched("cma", Alike(), 2000, 0).stopped_by == NO_PROGRESS
 
 
 def test_a_search_that_changes_its_mind_is_noticed() -> None:

@@ -71,9 +71,10 @@ def evolve(
                 return FLAT
             costs = [evaluations.evaluate(evaluations.lower + width * evolution.result.xfavorite)]
             means.append(evaluations.best_cost)
-            stale = len(means) > PATIENCE and means[-1] > (1 - PROGRESS) * means[-1 - PATIENCE]
-            if stale and evaluations.below_target:
-                return NO_PROGRESS
+            if len(means) > PATIENCE and evaluations.below_target:
+                before = means[-1 - PATIENCE]
+                if means[-1] > (1 - np.copysign(PROGRESS, before)) * before:  # it may be below zero
+                    return NO_PROGRESS
         if max(evolution.stds) < resolution and min(costs) >= evaluations.target_cost:
             return RESOLUTION
     return f"pycma's {' and '.join(stop)}"
