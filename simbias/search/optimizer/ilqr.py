@@ -9,6 +9,7 @@ with a knot in every frame, so that limits, delays and failures are the model's.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from copy import copy
 from dataclasses import replace
 from itertools import product
 
@@ -91,13 +92,21 @@ def default_weights(task: Task) -> GoalWeights:
     return GoalWeights(weights, INPUT_WEIGHT * task.input_limit**-2.0, FINAL_WEIGHT * weights)
 
 
+def _unfailing(task: Task) -> Task:
+    """The task without limits of its failure criteria."""
+    other = copy(task)
+    other.criteria = tuple(each._replace(limit=np.inf) for each in task.criteria)
+    return other
+
+
 class Shooting:
     """Plans of a model, as it is or as its joints slide, from the task's mean start to its goal."""
 
     def __init__(self, model: Model, weights: GoalWeights | None = None, sliding: bool = False) -> None:
         task = model.task
         self.following = Following(model, weights, sliding)
-        self._task = task
+        self._task, self._model, self._goal_weights, self._sliding = task, model, weights, sliding
+        self._failed = False  # whether a rollout has
         self._frictionless = replace(model, nominal=self.following.sliding)
         self._n, self._m, self._T = len(task.states), len(task.inputs), task.horizon
         self._every_frame = Trajectory(task, model.nominal, task.horizon + 1)
@@ -110,9 +119,25 @@ class Shooting:
         self._damping = np.diag(task.time_step * INPUT_WEIGHT * task.input_limit**-2.0)  # (m, m)
 
     def plan(self, rng: np.random.Generator | None) -> Plan | None:
-        """A trajectory that begins with random inputs, or at rest without any; None where all fail."""
-        best, costs = self._rest() if rng is None else self._first(rng), list[float]()
-        damping, patience = (FROM_REST, FROM_REST_PATIENCE) if rng is None else (1.0, PATIENCE)
+        """A trajectory that begins with random inputs, or at rest without any; None where all fail.
+
+        Where rollouts of trajectories that begin at rest fail, the way to one that does not may lead over
+        such that do: it is searched as if nothing failed, too.
+        """
+        if rng is not None:
+            return self._descended(self._first(rng), 1.0, PATIENCE)
+        plan = self._descended(self._rest(), FROM_REST, FROM_REST_PATIENCE)
+        if not self._failed:
+            return plan
+        free = Shooting(replace(self._model, task=_unfailing(self._task)), self._goal_weights, self._sliding)
+        other = free._descended(free._rest(), FROM_REST, FROM_REST_PATIENCE)
+        if other is None or self._fails(other) or (plan is not None and plan.cost <= other.cost):
+            return plan
+        return other
+
+    def _descended(self, best: Plan | None, damping: float, patience: int) -> Plan | None:
+        """The trajectory at the end of steps that each cost less, the first of which has this damping."""
+        costs = list[float]()
         while best is not None and damping < MOST and len(costs) < ITERATIONS:
             better = self._improved(best, damping)
             damping = damping * 10 if better is None else max(damping / 5, LEAST)
@@ -122,6 +147,11 @@ class Shooting:
             if len(costs) > patience and costs[-1] > (1 - PROGRESS) * costs[-1 - patience]:
                 break
         return best
+
+    def _fails(self, plan: Plan) -> bool:
+        """Whether the task fails along a trajectory."""
+        limits = [criterion.limit for criterion in self._task.criteria]
+        return not (self._task.measure(plan.states[1:]) <= limits).all()
 
     def _first(self, rng: np.random.Generator) -> Plan | None:
         """The best trajectory of random inputs and of smaller ones, as large ones may fail."""
@@ -166,11 +196,13 @@ class Shooting:
             [self._every_frame.following(*(np.concatenate([a, a[-1:]]) for a in (x, each, K))) for each in u]
         )
         starts = np.tile(self._task.start_mean, (len(thetas), 1))
+        rollouts = self._simulator.rollouts(thetas, starts)
         plans = [
             Plan(rollout.states, rollout.inputs, self._cost(rollout.states, rollout.inputs))
-            for rollout in self._simulator.rollouts(thetas, starts)
+            for rollout in rollouts
             if rollout.failed_at is None
         ]
+        self._failed |= len(plans) < len(rollouts)
         return min(plans, key=lambda plan: plan.cost, default=None)
 
     def _cost(self, states: Array, inputs: Array) -> float:
