@@ -30,9 +30,8 @@ def check_rates(source: str, pieces: Sequence[Rollout], task: Task, rates: Mappi
     Rates map places of states to those of what they are the rates of.
     """
     names, noise = [state.name for state in task.states], noise_of(pieces)
-    recorded = [piece.states for piece in pieces]
     for i, position in rates.items():
-        changes = _changes(recorded, i, position, task.time_step)
+        changes = _changes(pieces, i, position, task)
         moved, told = _delayed(changes, 0, 0)
         if abs(_agreement(moved, told)) >= CORRELATED:
             ratio = float(told @ moved) / float(told @ told)
@@ -46,7 +45,7 @@ def check_rates(source: str, pieces: Sequence[Rollout], task: Task, rates: Mappi
             and _is_clear(moved, noise[position])
             and _is_clear(told / SLOWEST, noise[i])
         ):
-            lags = range(_frames(LATEST, task.time_step) + 1)
+            lags = range(task.frames(LATEST) + 1)
             if max(_agreement(*_delayed(changes, late, late)) for late in lags) < UNRELATED:
                 raise HardwareError(
                     f"{source}: {names[position]} does not change as {names[i]} says: is it another column?"
@@ -55,26 +54,25 @@ def check_rates(source: str, pieces: Sequence[Rollout], task: Task, rates: Mappi
 
 def late_rates(pieces: Sequence[Rollout], task: Task, rates: Mapping[int, int]) -> list[str]:
     """Notes on recorded rates that agree clearly better with how their values changed before."""
-    frame, names, notes = task.time_step, [state.name for state in task.states], []
-    latest = _frames(LATEST, frame)
-    recorded = [piece.states for piece in pieces]
+    latest, names, notes = task.frames(LATEST), [state.name for state in task.states], []
     for i, position in rates.items():
-        changes = _changes(recorded, i, position, frame)
+        changes = _changes(pieces, i, position, task)
         delayed = (_delayed(changes, late, latest) for late in range(latest + 1))
         errors = [float(np.sum((told - moved) ** 2)) for moved, told in delayed]
         late = int(np.argmin(errors))
         if errors[late] < CLEARLY * errors[0]:
-            follows = f"{names[i]} follows {names[position]} by {1e3 * late * frame:.3g} ms"
+            follows = f"{names[i]} follows {names[position]} by {1e3 * late * task.time_step:.3g} ms"
             notes.append(f"{follows}; without its column, it is estimated")
     return notes
 
 
-def _changes(pieces: Sequence[Array], rate: int, position: int, frame: float) -> list[tuple[Array, Array]]:
+def _changes(pieces: Sequence[Rollout], rate: int, position: int, task: Task) -> list[tuple[Array, Array]]:
     """Of each piece, changes (m,) of a state over a while, and those that its rate tells, by trapezoids."""
-    k = _frames(SLOWEST, frame)
-    sums = [frame * (np.cumsum(states[:, rate]) - states[:, rate] / 2) for states in pieces]
-    moved = [states[k:, position] - states[:-k, position] for states in pieces]
-    return list(zip(moved, (total[k:] - total[:-k] for total in sums), strict=True))
+    k, changes = task.frames(SLOWEST), []
+    for x, v in ((piece.states[:, position], piece.states[:, rate]) for piece in pieces):
+        total = task.time_step * (np.cumsum(v) - v / 2)
+        changes.append((x[k:] - x[:-k], total[k:] - total[:-k]))
+    return changes
 
 
 def _delayed(changes: Sequence[tuple[Array, Array]], late: int, latest: int) -> tuple[Array, Array]:
@@ -94,8 +92,3 @@ def _agreement(moved: Array, told: Array) -> float:
 def _is_clear(changes: Array, noise: float) -> bool:
     """Whether changes (m,) are many times what noise of this deviation makes of them."""
     return float(np.sqrt(np.mean(changes**2))) > CLEAR * noise
-
-
-def _frames(seconds: float, frame: float) -> int:
-    """The number of frames, one at least, that are nearest to a time in s."""
-    return max(1, round(seconds / frame))

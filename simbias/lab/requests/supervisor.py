@@ -49,7 +49,7 @@ def main() -> int:
     changed = threading.Event()  # the program has ended, or has to
     signal.signal(signal.SIGTERM, lambda *_: changed.set())
     threading.Thread(target=_give, args=(program, told["text"]), daemon=True).start()
-    for wait in (program.wait, _parent_is_gone):
+    for wait in (program.wait, lambda: os.read(0, 1)):  # standard input closes when the parent is gone
         threading.Thread(target=_then, args=(wait, changed), daemon=True).start()
     changed.wait()
     if program.returncode is None:
@@ -62,11 +62,6 @@ def _then(wait: Callable[[], object], changed: threading.Event) -> None:
     """Note that something waited for has come."""
     wait()
     changed.set()
-
-
-def _parent_is_gone() -> None:
-    """Wait until standard input closes."""
-    os.read(0, 1)
 
 
 def _give(program: subprocess.Popen[bytes], text: str) -> None:

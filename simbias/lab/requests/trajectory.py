@@ -15,7 +15,7 @@ from simbias.core.messages import quote
 from simbias.core.records import Array, Rollout
 from simbias.core.robot import unwound
 from simbias.lab.checks import START_DEVIATIONS, start_tolerance
-from simbias.lab.recording import check_rates, rates_of
+from simbias.lab.rates import check_rates, rates_of
 from simbias.lab.requests.request import ExperimentRequest
 from simbias.lab.table import POINT, Table, read_table
 
