@@ -31,21 +31,17 @@ def learn(medians: Hyperparameters, transitions: Transitions, learning: Learning
 
     All outputs share them, each over its root mean square. Deterministic; without data, the medians.
     """
-    return _mode(medians, transitions, learning)[0]
+    return mode(medians, transitions, learning)[0]
 
 
-def evidence(medians: Hyperparameters, transitions: Transitions, learning: Learning) -> float:
-    """Log of the marginal likelihood, in nats, times the priors, at their most probable values (`learn`).
-
-    It is of the residuals in their units, up to a constant: models may be compared whose residuals differ.
-    """
-    return _mode(medians, transitions, learning)[1]
-
-
-def _mode(
+def mode(
     medians: Hyperparameters, transitions: Transitions, learning: Learning
 ) -> tuple[Hyperparameters, float]:
-    """The mode of the hyper-parameters, and its log-density up to a constant."""
+    """Hyper-parameters as `learn` finds them, and the log of the marginal likelihood times the priors there.
+
+    It is in nats, of the residuals in their units, up to a constant: models may be compared whose residuals
+    differ.
+    """
     from scipy.optimize import Bounds, minimize  # lazily: most trials learn none
 
     N = len(transitions)

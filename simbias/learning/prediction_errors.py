@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -71,8 +70,7 @@ class ErrorDistribution:
     @cached_property
     def inverse(self) -> Array:
         """L^-1 (d, d), cached: a fit whitens a hundred times."""
-        inverse: Any = np.linalg.inv(self.factor)
-        return inverse
+        return np.asarray(np.linalg.inv(self.factor))
 
     def whiten(self, errors: Array) -> Array:
         """Whitened errors (..., d) of errors (..., J, n)."""

@@ -14,7 +14,7 @@ from simbias.core.parameters import Estimate
 from simbias.core.ranges import Count, Seconds
 from simbias.core.records import Array, Rollout, Transitions
 from simbias.learning.covariance import hyperparameters
-from simbias.learning.likelihood import Learning, evidence
+from simbias.learning.likelihood import Learning, mode
 from simbias.simulation.actuator import Actuator, Actuators, taps_of
 from simbias.simulation.compiler import of_nominal, points_of
 
@@ -70,7 +70,7 @@ class Delay(Identification):
             x, u = rollout.states[:-1], rollout.inputs
             inputs = np.concatenate([x, model.acted_along(x, u)], axis=1)
             data |= Transitions(inputs, rollout.states[1:] - model.along(x, u))
-        return evidence(self._medians, data, self._learning)
+        return mode(self._medians, data, self._learning)[1]
 
 
 def _estimate(delays: Array, probabilities: Array) -> Estimate:

@@ -112,7 +112,6 @@ class Posterior(Identification):
     ) -> None:
         self._task, self._motors, self._sensors, self._each = task, motors or {}, sensors or {}, each or []
         check_signals(task, self._motors, self._sensors)
-        self._time_step = task.time_step
         self._chunks = chunks
         self._set_window(window)
         self._known = known
@@ -126,14 +125,14 @@ class Posterior(Identification):
 
     def _set_window(self, window: float) -> None:
         """Round its duration in s to a whole number of chunks."""
-        frames = window / self._time_step
+        frames = window / self._task.time_step
         self._chunk = max(1, round(frames / self._chunks))
         self._window = max(1, round(frames / self._chunk)) * self._chunk
 
     @property
     def window(self) -> float:
         """Duration of a prediction in s."""
-        return self._window * self._time_step
+        return self._window * self._task.time_step
 
     def with_window(self, window: float) -> Posterior:
         """A copy whose predictions last `window` s, longer ones in proportion."""
@@ -158,7 +157,7 @@ class Posterior(Identification):
     def windows(self, rollouts: Sequence[Rollout], recordings: Sequence[str] = ()) -> Windows:
         """Experiments, cut as predictions are compared with them."""
         windows = self.cut(rollouts)
-        if frames := round(self._smoothing / self._time_step):
+        if frames := round(self._smoothing / self._task.time_step):
             made = zip(rollouts, smoothed(rollouts, frames), strict=True)
             smooth = [replace(rollout, states=states) for rollout, states in made]
             windows = replace(windows, smoothed=self.cut(smooth).states)

@@ -88,7 +88,7 @@ class Rig(Nominal):
         _check_names(each, _names(nominal.parameters), "identification.each")
         if motors and nominal.state_size:
             raise ValueError("identification.motors: the nominal model has lag and delay of its own")
-        self._nominal, self._time_step = nominal, task.time_step
+        self.mechanics, self._time_step = nominal, task.time_step  # the model between motors and sensors
         self._states, self._inputs = states, inputs
         brakes = [motors[u].velocity if u in motors else None for u in inputs]
         self._brakes = tuple(None if name is None else states.index(name) for name in brakes)
@@ -115,8 +115,8 @@ class Rig(Nominal):
         self._actuators = (
             Actuators(actuators, self._time_step, self._taps, averaged=True) if self._has_motors else None
         )
-        self.state_size = self._actuators.state_size if self._actuators else self._nominal.state_size
-        self.acting = self._nominal.acting  # a model with a state has no motors here
+        self.state_size = self._actuators.state_size if self._actuators else self.mechanics.state_size
+        self.acting = self.mechanics.acting  # a model with a state has no motors here
         self._numbers = np.array(
             [
                 *(v.get(f"{x}.offset", 0.0) + v.get(f"{x}.zero", 0.0) for x in self._states),
@@ -125,61 +125,50 @@ class Rig(Nominal):
                 *(v.get(f"{u}.load", 0.0) for u in self._inputs),
             ]
         )
-        self.kernel = self._compiled()
-
-    def _compiled(self) -> Kernel | None:
-        """The kernel, if the mechanics have one."""
-        mechanics = self._nominal.kernel
-        if mechanics is None:
-            return None
-        function = _recorded(
-            mechanics.function, len(self._states), self._brakes, self._nominal.state_size > 0
-        )
-        recorded = Kernel(function, np.concatenate([self._numbers, mechanics.parameters]))
-        return self._actuators.before(recorded) if self._actuators else recorded
+        self.kernel = None
+        if (mechanics := self.mechanics.kernel) is not None:
+            remembers = self.mechanics.state_size > 0
+            function = _recorded(mechanics.function, len(self._states), self._brakes, remembers)
+            recorded = Kernel(function, np.concatenate([self._numbers, mechanics.parameters]))
+            self.kernel = self._actuators.before(recorded) if self._actuators else recorded
 
     def step(self, x: Array, u: Array) -> Array:
         """y_next (..., n) after a record x (..., n), as if u (..., m) had acted for long."""
         acting = self._actuators.settled(u) if self._actuators else u
-        return self._record(self._nominal.step(*self._truth(x, acting)))
+        return self._record(self.mechanics.step(*self._truth(x, acting)))
 
     def advance(self, x: Array, u: Array, model_state: Array) -> tuple[Array, Array]:
         """y_next (..., n), and the model state (..., s) for the next frame."""
         if self._actuators:
             acting, model_state = self._actuators.acting(u, model_state)
-            return self._record(self._nominal.step(*self._truth(x, acting))), model_state
-        x_next, model_state = self._nominal.advance(*self._truth(x, u), model_state)
+            return self._record(self.mechanics.step(*self._truth(x, acting))), model_state
+        x_next, model_state = self.mechanics.advance(*self._truth(x, u), model_state)
         return self._record(x_next), model_state
 
     def model_states(self, states: Array, inputs: Array) -> Array:
         """Model states (k, s) in each frame of a record, from its start on."""
         if self._actuators:
             return self._actuators.model_states(inputs)
-        return self._nominal.model_states(*self._truth(states, inputs))
+        return self.mechanics.model_states(*self._truth(states, inputs))
 
     def with_parameters(self, values: Array) -> Rig:
         """The rig with other values (k,) of its parameters."""
-        other, count = copy(self), len(self._nominal.parameters)
+        other, count = copy(self), len(self.mechanics.parameters)
         if count:
-            other._nominal = self._nominal.with_parameters(values[:count])
+            other.mechanics = self.mechanics.with_parameters(values[:count])
         other._values = dict(zip(self._values, values[count:].tolist(), strict=True))
         other._assemble()
         return other
 
     @property
-    def mechanics(self) -> Nominal:
-        """The model between motors and sensors."""
-        return self._nominal
-
-    @property
     def slack(self) -> Array:
         """That of the mechanics."""
-        return self._nominal.slack
+        return self.mechanics.slack
 
     def without_dry_friction(self) -> Rig:
         """The rig without friction of its motors, and of its mechanics."""
         other = copy(self)
-        other._nominal = self._nominal.without_dry_friction()
+        other.mechanics = self.mechanics.without_dry_friction()
         dry = [name for name in self._values if name.endswith((".stribeck", ".load"))]
         other._values = self._values | dict.fromkeys(dry, 0.0)
         other._assemble()
@@ -243,21 +232,19 @@ def _parameters(signals: Sequence[Quantity], uncertain: Mapping[str, Motor | Sen
     ]
 
 
-def _tuple(terms: Sequence[str]) -> str:
-    """Terms as a tuple's text."""
-    return f"({', '.join(terms)},)"
+def _function(name: str, arguments: str, terms: Sequence[str]) -> Callable:
+    """The function whose result is the tuple of these terms."""
+    return function_of(f"def {name}({arguments}): return ({', '.join(terms)},)", name)
 
 
 def _away(n: int) -> Callable:
     """States of a record y (n,); parameters are offsets (n,), then gains (n,)."""
-    terms = [f"(y[{i}] - p[{i}]) / p[{n + i}]" for i in range(n)]
-    return function_of(f"def away(y, p): return {_tuple(terms)}", "away")
+    return _function("away", "y, p", [f"(y[{i}] - p[{i}]) / p[{n + i}]" for i in range(n)])
 
 
 def _back(n: int) -> Callable:
     """The record of states x (n,)."""
-    terms = [f"x[{i}] * p[{n + i}] + p[{i}]" for i in range(n)]
-    return function_of(f"def back(x, p): return {_tuple(terms)}", "back")
+    return _function("back", "x, p", [f"x[{i}] * p[{n + i}] + p[{i}]" for i in range(n)])
 
 
 def _braked(n: int, brakes: Sequence[int | None]) -> Callable:
@@ -270,7 +257,7 @@ def _braked(n: int, brakes: Sequence[int | None]) -> Callable:
         ratio = f"(x[{i}] * {1 / STRIBECK})"
         size = f"(p[{2 * n + j}] / (1.0 + {ratio} * {ratio}) + p[{2 * n + m + j}] * abs(u[{j}]))"
         terms.append(f"u[{j}] - {size} * x[{i}] * (x[{i}] * x[{i}] + {SMOOTH**2}) ** -0.5")
-    return function_of(f"def braked(x, u, p): return {_tuple(terms)}", "braked")
+    return _function("braked", "x, u, p", terms)
 
 
 @lru_cache(maxsize=64)
