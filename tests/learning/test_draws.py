@@ -45,7 +45,7 @@ def test_draws_have_the_posteriors_mean_and_variance() -> None:
         mean, variance = posterior.predict(inputs)
         rng = np.random.default_rng(0)
         values = np.array([posterior.draw(rng).predict(inputs)[0] for _ in range(DRAWS)]) / scale()
-        hyper = posterior._hyper
+        hyper = posterior.hyper
         latent = variance / scale() ** 2 - hyper.noise_variance  # what is uncertain of the function itself
         assert (latent > 1e-3).all()
         error = values.mean(axis=0) - mean / scale()
@@ -65,7 +65,7 @@ def test_draws_have_the_posteriors_covariance() -> None:
     inputs, scale = transitions.inputs[10:15], np.sqrt(np.mean(np.sin(t) ** 2))
     rng = np.random.default_rng(0)
     values = np.array([posterior.draw(rng).predict(inputs)[0] for _ in range(DRAWS)]) / scale
-    hyper, points = posterior._hyper, posterior._hyper.scale(transitions.inputs)
+    hyper, points = posterior.hyper, posterior.hyper.scale(transitions.inputs)
     K = hyper.covariance(points, points)
     k = K[10:15]
     expected = k[:, 10:15] - k @ np.linalg.solve(K + hyper.noise_variance * np.eye(len(K)), k.T)
@@ -110,7 +110,7 @@ def test_with_fourier_features_draws_have_the_posteriors_moments_where_there_are
         mean, variance = bias.predict(UPRIGHT_TO_HANGING)
         scale = np.sqrt(np.mean(swings().residuals ** 2, axis=0))
         values = np.array([bias.draw(rng).predict(UPRIGHT_TO_HANGING)[0] for _ in range(DRAWS)]) / scale
-        latent = variance / scale**2 - bias._hyper.noise_variance
+        latent = variance / scale**2 - bias.hyper.noise_variance
         assert latent[0].min() > 10 * latent[-1].max(), option  # upright, where it has not been
         assert (np.abs(values.mean(axis=0) - mean / scale) < 5 * np.sqrt(latent / DRAWS)).all(), option
         squares = (values - values.mean(axis=0)) ** 2  # more than normal tails, as the features are few

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import final
 
 import numpy as np
@@ -22,6 +22,7 @@ MOST_COMPARED = 2000  # samples up to which a sparse posterior is compared with 
 
 
 @final
+@dataclass(eq=False)
 class Posterior(FittedBias):
     """A posterior for each state; all share inputs and hyper-parameters, so also one factorisation.
 
@@ -30,53 +31,44 @@ class Posterior(FittedBias):
     of the first ones. A linear function, if there is one, is added to each, and is not weighted in Eq. 7.
     """
 
-    def __init__(
-        self,
-        hyper: Hyperparameters,
-        scale: Array,
-        points: Array,
-        U: Array,
-        W: Array,
-        R: Array,
-        diagnostics: Mapping[str, float],
-        L_inverse: Array | None = None,
-        features: int = 0,
-        trend: Trend | None = None,
-    ) -> None:
-        self._hyper = hyper
-        self._scale = scale  # (n,) of the outputs
-        self._points = points  # (N, r), scaled
-        self._U = U  # (M, M), M <= N
-        self._W = W  # (N, n)
-        self._R = R  # (m, N), R^T R the covariance of the weights W
-        self._L_inverse = L_inverse  # (m, N), L_inverse^T L_inverse the inverse covariance of inducing points
-        self._features = features
-        self._trend = trend or Trend.none(*W.shape)
-        self.diagnostics = diagnostics
-        self.kernel = _compiled(hyper, points, W, U, hyper.d * W.shape[1], self._trend.mean)
+    hyper: Hyperparameters
+    scale: Array  # (n,) of the outputs
+    points: Array  # (N, r), scaled
+    U: Array  # (M, M), M <= N
+    W: Array  # (N, n)
+    R: Array  # (m, N), R^T R the covariance of the weights W
+    L_inverse: Array  # (m, N), L_inverse^T L_inverse the inverse covariance of inducing points
+    trend: Trend
+    features: int = 0  # of a draw
+    diagnostics: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Compile it."""
+        d_n = self.hyper.d * self.W.shape[1]
+        self.kernel = _compiled(self.hyper, self.points, self.W, self.U, d_n, self.trend.mean)
 
     def predict(self, inputs: Array) -> tuple[Array, Array]:
         """Mean (k, n) (Eq. 4) and variance (k, n), noise included (Eq. 5), at raw inputs (k, n+m)."""
-        scaled = self._hyper.scale(inputs)
-        k_star = self._hyper.covariance(scaled, self._points)
+        scaled = self.hyper.scale(inputs)
+        k_star = self.hyper.covariance(scaled, self.points)
         mean, variance = self._given_trend(k_star)
-        basis = self._hyper.basis(scaled)
-        of_trend = basis - k_star @ self._trend.G
-        variance = variance + np.sum((of_trend @ self._trend.root.T) ** 2, axis=1)
-        return mean + basis @ self._trend.mean, variance[:, None] * self._scale**2
+        basis = self.hyper.basis(scaled)
+        of_trend = basis - k_star @ self.trend.G
+        variance = variance + np.sum((of_trend @ self.trend.root.T) ** 2, axis=1)
+        return mean + basis @ self.trend.mean, variance[:, None] * self.scale**2
 
     def relative(self, inputs: Array) -> tuple[Array, Array]:
         """Mean (k, n), and variance (k,) over each output's mean square, given the linear function."""
-        return self._given_trend(self._hyper.covariance(self._hyper.scale(inputs), self._points))
+        return self._given_trend(self.hyper.covariance(self.hyper.scale(inputs), self.points))
 
     def _given_trend(self, k_star: Array) -> tuple[Array, Array]:
         """The same, of covariances k_star (k, N) of inputs with the points."""
-        known = np.sum((k_star[:, : len(self._U)] @ self._U.T) ** 2, axis=1)
-        return k_star @ self._W, self._hyper.prior_variance - known
+        known = np.sum((k_star[:, : len(self.U)] @ self.U.T) ** 2, axis=1)
+        return k_star @ self.W, self.hyper.prior_variance - known
 
     def weight(self, variance: Array) -> Array:
         """The weight of the mean in Eq. 7; |sigma_t|^2 sums the relative variances of the n outputs."""
-        return np.exp(-self._hyper.d * self._W.shape[1] * variance)
+        return np.exp(-self.hyper.d * self.W.shape[1] * variance)
 
     def correction(self, x: Array, u: Array) -> Array:
         """The last term (..., n) of Eq. 7 at x (..., n), u (..., m)."""
@@ -85,7 +77,7 @@ class Posterior(FittedBias):
     def _weighted(self, inputs: Array) -> Array:
         """The mean (k, n) at raw inputs (k, n+m), times its weight in Eq. 7, and the linear function."""
         mean, variance = self.relative(inputs)
-        linear = self._hyper.basis(self._hyper.scale(inputs)) @ self._trend.mean
+        linear = self.hyper.basis(self.hyper.scale(inputs)) @ self.trend.mean
         return self.weight(variance)[:, None] * mean + linear
 
     def draw(self, rng: np.random.Generator) -> GPSample:
@@ -100,16 +92,16 @@ class Posterior(FittedBias):
         Gaussian Process Posteriors, ICML 2020). Over many draws, mean and variance of the values are those
         of the posterior at any input, whatever the number of features. Without data it is zero.
         """
-        e = rng.standard_normal((len(self._R), len(self._scale)))
-        weights = self._W + self._scale * (self._R.T @ e)
-        deviation = self._scale * (self._trend.root.T @ rng.standard_normal(self._trend.mean.shape))
-        weights -= self._trend.G @ deviation
-        trend = self._trend.mean + deviation
-        if not self._features or self._L_inverse is None or not len(self._points):
-            return GPSample(self._hyper, self._points, weights, trend=trend)
-        waves = Waves.drawn(self._hyper, self._features, self._scale, rng)
-        weights -= self._L_inverse.T @ (self._L_inverse @ waves(self._points))
-        return GPSample(self._hyper, self._points, weights, waves, trend)
+        e = rng.standard_normal((len(self.R), len(self.scale)))
+        weights = self.W + self.scale * (self.R.T @ e)
+        deviation = self.scale * (self.trend.root.T @ rng.standard_normal(self.trend.mean.shape))
+        weights -= self.trend.G @ deviation
+        trend = self.trend.mean + deviation
+        if not self.features or not len(self.points):
+            return GPSample(self.hyper, self.points, weights, trend=trend)
+        waves = Waves.drawn(self.hyper, self.features, self.scale, rng)
+        weights -= self.L_inverse.T @ (self.L_inverse @ waves(self.points))
+        return GPSample(self.hyper, self.points, weights, waves, trend)
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,7 +236,7 @@ def exact(hyper: Hyperparameters, transitions: Transitions, features: int = 0) -
     R, of_chosen = np.zeros((2, len(chosen), len(points)))
     R[:, chosen], of_chosen[:, chosen] = seen.R, seen.L_inverse
     scale = output_scale(transitions.residuals)
-    return Posterior(hyper, scale, points, L_inverse, W, R, {}, of_chosen, features, trend)
+    return Posterior(hyper, scale, points, L_inverse, W, R, of_chosen, trend, features)
 
 
 def sparse(hyper: Hyperparameters, transitions: Transitions, inducing: Inducing, features: int) -> Posterior:
@@ -267,19 +259,15 @@ def sparse(hyper: Hyperparameters, transitions: Transitions, inducing: Inducing,
     trend = Trend.learned(hyper, points, transitions.residuals, solve)
     W = solve(transitions.residuals)[0] - trend.G @ trend.mean
     coarsely = view(hyper, points, chosen[:for_variance])
-    U = _lower_root(coarsely.L_inverse.T @ coarsely.L_inverse - coarsely.R.T @ coarsely.R)
+    C = coarsely.L_inverse.T @ coarsely.L_inverse - coarsely.R.T @ coarsely.R
+    U = stable_cholesky(C[::-1, ::-1]).T[::-1, ::-1]  # lower, with U^T U = C
     scale = output_scale(transitions.residuals)
     counts = {"inducing_points": len(chosen), "inducing_points_of_variance": for_variance}
-    posterior = Posterior(hyper, scale, seen.Z, U, W, seen.R, counts, seen.L_inverse, features, trend)
+    posterior = Posterior(hyper, scale, seen.Z, U, W, seen.R, seen.L_inverse, trend, features, counts)
     if 0 < len(transitions) <= MOST_COMPARED:
         errors = _errors(posterior, exact(hyper, transitions), transitions)
         posterior.diagnostics = {**posterior.diagnostics, **errors}
     return posterior
-
-
-def _lower_root(C: Array) -> Array:
-    """The lower triangular U (m, m) with U^T U = C: a Cholesky factor in reversed order."""
-    return stable_cholesky(C[::-1, ::-1]).T[::-1, ::-1]
 
 
 def _errors(approximate: Posterior, reference: Posterior, transitions: Transitions) -> dict[str, float]:

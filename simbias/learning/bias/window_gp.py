@@ -16,6 +16,7 @@ from simbias.learning.bias.inducing import Inducing, choose
 from simbias.learning.bias.none import ZeroBias
 from simbias.learning.bias.posterior import GPSample, Posterior
 from simbias.learning.bias.sensitivity import sensitivities
+from simbias.learning.bias.trend import Trend
 from simbias.learning.covariance import Hyperparameters, stable_cholesky
 from simbias.learning.noise import robust_deviation
 from simbias.learning.prediction_errors import ErrorDistribution, correlation_time
@@ -216,7 +217,8 @@ class WindowPosterior(FittedBias):
         A = np.sqrt(np.maximum(values, 0.0))[:, None] * (vectors.T @ self._root)
         U = np.flip(np.linalg.qr(np.flip(A, axis=1))[1])  # lower, with U^T U = A^T A
         W = self._at_points(self._mean)
-        return Posterior(self._hyper, self._signal, self._Z, U, W, np.empty((0, len(W))), {})
+        none = np.empty((0, len(W)))  # it is not drawn from
+        return Posterior(self._hyper, self._signal, self._Z, U, W, none, none, Trend.none(*W.shape))
 
     def predict(self, inputs: Array) -> tuple[Array, Array]:
         """Mean (k, n) and variance (k, n) of the bias at raw inputs (k, n+m)."""
