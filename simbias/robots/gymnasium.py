@@ -8,7 +8,7 @@ from typing import Annotated, Any, final
 import numpy as np
 from pydantic import Field
 
-from simbias.core import Hardware, HardwareError, Policy, Task
+from simbias.core import Hardware, Policy, Task
 from simbias.core.extras import library
 from simbias.core.messages import quote, words
 from simbias.core.records import Array, Rollout
@@ -124,8 +124,6 @@ class Gymnasium(Hardware):
         observation, _ = self._environment.reset(seed=int(rng.integers(2**31)))
         x = self._states(np.asarray(observation, dtype=np.float64))
         if self._start is not None:
-            if not np.isfinite(start).all():
-                raise HardwareError(f"the robot cannot start at {start}")
             self._start(start)
             x = start
         robot = _Running(self._task, self._environment, self._states, self._action, x)
@@ -166,31 +164,29 @@ class _Action:
         return round(float(action[0])) if self._discrete else action
 
 
+@dataclass(eq=False)
 class _Running(Robot):
     """An experiment under way in the environment."""
 
-    def __init__(
-        self, task: Task, environment: Any, states: Expressions, action: _Action, start: Array
-    ) -> None:
-        self._task = task
-        self._environment = environment
-        self._states = states
-        self._action = action
-        self._x = start
-        self._terminated = False
+    task: Task
+    environment: Any
+    states: Expressions
+    action: _Action
+    x: Array  # (n,)
+    terminated: bool = False
 
     def state(self) -> Array:
         """The state (n,)."""
-        return self._x
+        return self.x
 
     def step(self, u: Array) -> None:
         """One step under the input u (m,)."""
-        observation, _, self._terminated, _, _ = self._environment.step(self._action(u))
-        self._x = self._states(np.asarray(observation, dtype=np.float64))
+        observation, _, self.terminated, _, _ = self.environment.step(self.action(u))
+        self.x = self.states(np.asarray(observation, dtype=np.float64))
 
     def failure(self) -> str | None:
         """The task's criterion that it violates, or that it says `terminated`."""
-        return self._task.failure(self._x) or (TERMINATED if self._terminated else None)
+        return self.task.failure(self.x) or (TERMINATED if self.terminated else None)
 
 
 def _make(name: str, options: dict[str, Any]) -> Any:

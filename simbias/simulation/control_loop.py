@@ -45,9 +45,11 @@ def experiment(
     Raises
     ------
     HardwareError
-        If the policy asks for what is not finite.
+        If the robot stands, or the policy asks for, what is not finite.
     """
     states = [robot.state()]
+    if not _is_finite(states[0]):
+        raise HardwareError(f"the robot cannot start at {states[0]}")
     measured = [robot.reading() + noise.sensors[0]]
     inputs: list[Array] = []
     failure = robot.failure()
