@@ -64,11 +64,11 @@ class Mechanism:
         model = self.model = read_model(file, self._added)
         self._data = engine.MjData(model)  # for what follows from its parameters, in every copy
         self.source_files = source_files(file)
-        known = names_of(model, "joint")
+        known, motors = names_of(model, "joint"), names_of(model, "actuator")
         joints = _in_order(known, task) if joints is None else list(joints)
-        actuators = names_of(model, "actuator") if actuators is None else list(actuators)
+        actuators = motors if actuators is None else list(actuators)
         _check(joints, known, "joints", file)
-        _check(actuators, names_of(model, "actuator"), "actuators", file)
+        _check(actuators, motors, "actuators", file)
         for name in known:
             if name not in joints:
                 raise ValueError(f"{file}: joint {name}: all joints have to be states")
@@ -104,7 +104,7 @@ class Mechanism:
         # (n,) in full states, after the time
         self.state_places = 1 + np.concatenate([*positions, *(model.nq + each for each in velocities)])
         self.control_places = np.array([model.actuator(name).id for name in actuators])  # (m,) in controls
-        self.units = np.array([_unit(engine, model, i) for i in self.control_places])  # (m,) of controls
+        self.units = np.array([_unit(model, i) for i in self.control_places])  # (m,) of controls
         self._check_inputs(task, actuators)
 
     def _check_states(self, task: Task) -> None:
@@ -119,18 +119,18 @@ class Mechanism:
 
     def _check_inputs(self, task: Task, actuators: Sequence[str]) -> None:
         """Refuse inputs in other units than those of motors, or beyond what actuators give."""
-        engine, model = mujoco(), self.model
+        model = self.model
         places = zip(task.inputs, actuators, self.control_places, self.units, strict=True)
         for (quantity, name, index, unit), lower, upper in zip(places, *task.input_bounds, strict=True):
             if not unit:
                 raise ValueError(f"{self._file}: the motor {name} has a gear or a gain of zero")
-            force = _input_unit(engine, model, index)  # volts, or a share, may be a gain away from it
+            force = _input_unit(model, index)  # volts, or a share, may be a gain away from it
             bare = re.sub(r"[\s·*.]", "", quantity.unit)
             if force and "N" in bare and bare != force.replace(" ", ""):
                 raise ValueError(
                     f"the task's input {quantity.name} is in {quantity.unit}; the motor {name} has {force}"
                 )
-            least, most = _reach(engine, model, index, unit)
+            least, most = _reach(model, index, unit)
             for asked, given, beyond in ((upper, most, upper - most), (lower, least, least - lower)):
                 if beyond > 1e-9 * abs(given):
                     raise ValueError(
@@ -179,7 +179,7 @@ def _in_order(joints: list[str], task: Task) -> list[str]:
     return positions if sorted(positions) == sorted(joints) else joints
 
 
-def _check(wanted: Sequence[str], known: Mapping[str, Any] | Sequence[str], key: str, file: str) -> None:
+def _check(wanted: Sequence[str], known: Sequence[str], key: str, file: str) -> None:
     """Names that a file has to have."""
     for name in wanted:
         if name not in known:
@@ -191,56 +191,56 @@ def _places(addresses: Indices, count: int, joint: int) -> Indices:
     return np.arange(count)[addresses[joint] : [*addresses, count][joint + 1]]
 
 
-def _is_motor(engine: Any, model: Any, i: int) -> bool:
+def _is_motor(model: Any, i: int) -> bool:
     """Whether an actuator gives a force or torque that is in proportion to its control."""
-    fixed, none = engine.mjtGain.mjGAIN_FIXED, engine.mjtBias.mjBIAS_NONE
+    fixed, none = mujoco().mjtGain.mjGAIN_FIXED, mujoco().mjtBias.mjBIAS_NONE
     return bool(model.actuator_gaintype[i] == fixed and model.actuator_biastype[i] == none)
 
 
-def _unit(engine: Any, model: Any, i: int) -> float:
+def _unit(model: Any, i: int) -> float:
     """Input that a control of 1 gives: the force or torque of a motor, else 1."""
-    motor = _is_motor(engine, model, i)
-    return float(_gear(engine, model, i) * model.actuator_gainprm[i, 0]) if motor else 1.0
+    motor = _is_motor(model, i)
+    return float(_gear(model, i) * model.actuator_gainprm[i, 0]) if motor else 1.0
 
 
-def _input_unit(engine: Any, model: Any, i: int) -> str:
+def _input_unit(model: Any, i: int) -> str:
     """The unit of an actuator's input: of force or torque of a motor on a joint; "" of others."""
-    on_joint = model.actuator_trntype[i] == engine.mjtTrn.mjTRN_JOINT and _is_motor(engine, model, i)
+    on_joint = model.actuator_trntype[i] == mujoco().mjtTrn.mjTRN_JOINT and _is_motor(model, i)
     return INPUT_UNITS[model.jnt_type[model.actuator_trnid[i, 0]]] if on_joint else ""
 
 
-def _gear(engine: Any, model: Any, i: int) -> float:
+def _gear(model: Any, i: int) -> float:
     """Force of an actuator at a site along the axis of its six gears, or torque about it; else the gear.
 
     Those on a ball joint are about three axes, and those on a free joint as at a site.
     """
     gear, kind, target = model.actuator_gear[i], model.actuator_trntype[i], model.actuator_trnid[i, 0]
-    is_free = kind == engine.mjtTrn.mjTRN_SITE
-    if _is_on_joint(engine, model, i):
-        if model.jnt_type[target] == int(engine.mjtJoint.mjJNT_BALL):
+    is_free = kind == mujoco().mjtTrn.mjTRN_SITE
+    if _is_on_joint(model, i):
+        if model.jnt_type[target] == int(mujoco().mjtJoint.mjJNT_BALL):
             return float(np.linalg.norm(gear[:3]))
-        is_free = model.jnt_type[target] == int(engine.mjtJoint.mjJNT_FREE)
+        is_free = model.jnt_type[target] == int(mujoco().mjtJoint.mjJNT_FREE)
     return float(np.linalg.norm(gear[:3]) or np.linalg.norm(gear[3:])) if is_free else float(gear[0])
 
 
-def _is_on_joint(engine: Any, model: Any, i: int) -> bool:
+def _is_on_joint(model: Any, i: int) -> bool:
     """Whether an actuator acts at a joint, in its own frame or in its parent's."""
-    kind, transmission = model.actuator_trntype[i], engine.mjtTrn
+    kind, transmission = model.actuator_trntype[i], mujoco().mjtTrn
     return bool(kind == transmission.mjTRN_JOINT or kind == transmission.mjTRN_JOINTINPARENT)
 
 
-def _reach(engine: Any, model: Any, i: int, unit: float) -> tuple[float, float]:
+def _reach(model: Any, i: int, unit: float) -> tuple[float, float]:
     """Least and largest input of an actuator, as its file limits control and, of a motor, the force."""
     ranges = [(-np.inf, np.inf)]
     if model.actuator_ctrllimited[i]:
         ranges.append(unit * model.actuator_ctrlrange[i])
-    motor = _is_motor(engine, model, i)
+    motor = _is_motor(model, i)
     if motor and model.actuator_forcelimited[i]:
-        ranges.append(_gear(engine, model, i) * model.actuator_forcerange[i])
+        ranges.append(_gear(model, i) * model.actuator_forcerange[i])
     kind, target = model.actuator_trntype[i], model.actuator_trnid[i, 0]
-    if motor and _is_on_joint(engine, model, i) and model.jnt_actfrclimited[target]:
+    if motor and _is_on_joint(model, i) and model.jnt_actfrclimited[target]:
         ranges.append(model.jnt_actfrcrange[target])
-    if motor and kind == engine.mjtTrn.mjTRN_TENDON and model.tendon_actfrclimited[target]:
+    if motor and kind == mujoco().mjtTrn.mjTRN_TENDON and model.tendon_actfrclimited[target]:
         ranges.append(model.tendon_actfrcrange[target])
     low, high = np.sort(ranges, axis=1).T  # a gear may be negative
     return float(low.max()), float(high.min())
