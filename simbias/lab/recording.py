@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -50,6 +50,7 @@ class Reader:
 
     def __init__(self, task: Task, columns: Mapping[str, str]) -> None:
         self._task = task
+        self._quantities = (*task.states, *task.inputs)
         self._columns = columns
         self._rates = rates_of(task)
 
@@ -65,11 +66,7 @@ class Reader:
         notes: list[str] = []
         found = self._signals(file, notes)
         bounds = self._pieces(path, found, notes)
-        pieces, times = [], []
-        for begin, end in bounds:
-            piece, measured = self._piece(found, begin, end)
-            pieces.append(piece)
-            times.append(measured)
+        pieces, times = zip(*(self._piece(found, begin, end) for begin, end in bounds), strict=True)
         measured_rates = {i: position for i, position in self._rates.items() if i in found}
         check_rates(str(path), pieces, self._task, measured_rates)
         notes += [
@@ -77,14 +74,14 @@ class Reader:
             *self._beyond_limits(path, pieces),
             *self._still(pieces),
         ]
-        return Recording(tuple(pieces), tuple(times), (*file.notes, *notes))
+        return Recording(pieces, times, (*file.notes, *notes))
 
     def _signals(self, file: Signals, notes: list[str]) -> dict[int, Signal]:
         """Signals by the place of states, then inputs, in the task's units and s; angles unwound.
 
         A rate that no column holds is missing.
         """
-        quantities = (*self._task.states, *self._task.inputs)
+        quantities = self._quantities
         time, time_unit = self._named(file, "time")
         lacking = [
             name
@@ -167,12 +164,11 @@ class Reader:
         """Notes on what is left out before `begin` and after `end`, where some signals have a run's end."""
         before = begin - min(signal.times[0] for signal in found.values())
         after = max(signal.times[-1] for signal in found.values()) - end
-        quantities = (*self._task.states, *self._task.inputs)
         for side, which, at, seconds in ((0, "first", begin, before), (1, "last", end, after)):
             lacking = [i for i, runs in runs_of.items() if any(run[side] == at for run in runs)]
             # Where all have it, it is a gap or a reset.
             if len(lacking) < len(found) and seconds > max(self._gap(found[i]) for i in lacking):
-                names = ", ".join(quantities[i].name for i in lacking)
+                names = ", ".join(self._quantities[i].name for i in lacking)
                 yield f"the {which} {seconds:.3g} s lack {names}, and are left out"
 
     def _check_period(self, file: Signals, found: Mapping[int, Signal], has_unit: bool) -> None:
@@ -226,7 +222,7 @@ class Reader:
         rate: Array = savgol_filter(values, width, 2, deriv=1, delta=self._task.time_step)
         return rate
 
-    def _beyond_limits(self, path: Path, pieces: list[Rollout]) -> list[str]:
+    def _beyond_limits(self, path: Path, pieces: Sequence[Rollout]) -> list[str]:
         """Notes on inputs beyond their limits; those far beyond are refused."""
         inputs, notes = np.abs(np.concatenate([piece.inputs for piece in pieces])), []
         for each, values, limit in zip(self._task.inputs, inputs.T, self._task.input_limit, strict=True):
@@ -240,17 +236,12 @@ class Reader:
                 notes.append(f"up to {most:.3g} {each.unit}, the mean over a frame, {told}")
         return notes
 
-    def _still(self, pieces: list[Rollout]) -> list[str]:
+    def _still(self, pieces: Sequence[Rollout]) -> Iterator[str]:
         """Notes on quantities that never change, from which nothing can be learned."""
-        notes = []
-        for quantities, values in (
-            (self._task.states, np.concatenate([piece.states for piece in pieces])),
-            (self._task.inputs, np.concatenate([piece.inputs for piece in pieces])),
-        ):
-            for i, quantity in enumerate(quantities):
-                if len(values) and np.ptp(values[:, i]) == 0:
-                    notes.append(f"{quantity.name} never changes, so nothing is learned of what it moves")
-        return notes
+        each = zip(*((*piece.states.T, *piece.inputs.T) for piece in pieces), strict=True)
+        for quantity, values in zip(self._quantities, each, strict=True):
+            if np.ptp(np.concatenate(values)) == 0:
+                yield f"{quantity.name} never changes, so nothing is learned of what it moves"
 
 
 def _factor(file: Signals, name: str, unit: str, wanted: str) -> float:

@@ -25,17 +25,13 @@ class WithTargets(Policy):
 
     def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
         """Inputs u (..., m) at the robot's states x (..., n), and the policy state for the next frame."""
-        return self.policy.act(theta, self._seen(x), t, policy_state)
+        targets = np.broadcast_to(self.targets, (*x.shape[:-1], len(self.targets)))
+        return self.policy.act(theta, np.concatenate([x, targets], axis=-1), t, policy_state)
 
     def law(self, theta: Array) -> Law:
         """The policy's law, with the targets."""
         law = self.policy.law(theta)
         return Law(f"{law.words}; targets: {', '.join(self.told)}", {**law.numbers, "targets": self.targets})
-
-    def _seen(self, x: Array) -> Array:
-        """The robot's states and the targets (..., n + k)."""
-        targets = np.broadcast_to(self.targets, (*x.shape[:-1], len(self.targets)))
-        return np.concatenate([x, targets], axis=-1)
 
 
 def beside(rollout: Rollout, targets: Array) -> Rollout:

@@ -63,12 +63,14 @@ def findings(
         shaken = [
             name for name, r, each in zip(names, R[i], disagree, strict=True) if each and abs(r) > COMPENSATES
         ]
+        # The lower end of a half-normal is what is declared.
+        tail = fitted.mode[i] if parameter.prior == "half_normal" else abs(fitted.mode[i])
         doubts = [
             "each recording has its own" if elsewhere else _of_shrinkage(shrinkage),
             "wider than its prior" if deviations[i] > BEYOND_PRIOR else "",
             f"only together with {', '.join(partners)}" if partners else "",
             "at its bound" if at_bound(parameter, estimate.value) else "",
-            "far from what was declared" if _from_declared(parameter, fitted.mode[i]) > TAIL else "",
+            "far from what was declared" if tail > TAIL else "",
             "recordings disagree" if disagree[i] else "",
             f"recordings disagree on {', '.join(shaken)}" if shaken and not disagree[i] else "",
             "depends on the window" if _moved(fitted, by_window, i) > DISAGREEMENT else "",
@@ -83,11 +85,6 @@ def at_bound(parameter: Parameter, value: float) -> bool:
     ends = {"half_normal": [0.0], "uniform": [0.0, parameter.spread]}.get(parameter.prior, [])
     width = parameter.spread * (1.0 if parameter.prior == "half_normal" else 12**-0.5)
     return any(abs(value - parameter.value - end) < AT_BOUND * width for end in ends)
-
-
-def _from_declared(parameter: Parameter, coordinate: float) -> float:
-    """How far a coordinate is in the prior's tail; the lower end of a half-normal is what is declared."""
-    return coordinate if parameter.prior == "half_normal" else abs(coordinate)
 
 
 def _of_shrinkage(shrinkage: float) -> str:

@@ -19,6 +19,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 
 GRACE = 1.0  # s between SIGTERM and SIGKILL
 CANNOT_START = 127  # exit status, as a shell's
@@ -41,7 +42,7 @@ def main() -> int:
             stdin=subprocess.PIPE,
             start_new_session=True,
             pass_fds=told["keep"],
-            preexec_fn=_die_at_once if sys.platform == "linux" else None,
+            preexec_fn=partial(_die_with_parent, signal.SIGKILL) if sys.platform == "linux" else None,
         )
     except OSError as error:
         print(f"cannot be started ({error})", file=sys.stderr)
@@ -99,11 +100,6 @@ def _die_with_parent(number: int) -> None:
         import ctypes
 
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, number)
-
-
-def _die_at_once() -> None:
-    """In the program, before it begins: be killed with this process."""
-    _die_with_parent(signal.SIGKILL)
 
 
 if __name__ == "__main__":
