@@ -188,15 +188,13 @@ def test_windows_that_count_twice_tell_nothing_more(study: Study) -> None:
     rollout, z = experiment(robot, np.random.default_rng(0), 300), np.zeros(11)
     short, long = Windows.of([rollout], 50, 5), Windows.of([rollout], 100, 10)
     once, twice, both = (
-        Problem.at(study.nominal, each, z, FREEDOM) for each in ([short], [short, short], [short, long])
+        Problem(study.nominal, each, z, FREEDOM) for each in ([short], [short, short], [short, long])
     )
     np.testing.assert_allclose(twice.precision(z), once.precision(z), rtol=1e-9)
     np.testing.assert_allclose(
         twice.spread(z) @ twice.spread(z).T, once.spread(z) @ once.spread(z).T, rtol=1e-6
     )
-    apart = [
-        Problem.at(study.nominal, [each], z, FREEDOM).precision(z) - np.eye(11) for each in (short, long)
-    ]
+    apart = [Problem(study.nominal, [each], z, FREEDOM).precision(z) - np.eye(11) for each in (short, long)]
     np.testing.assert_allclose(both.precision(z) - np.eye(11), (2 * apart[0] + apart[1]) / 3, rtol=1e-9)
     np.testing.assert_allclose(twice.mode(z, 2), once.mode(z, 2), rtol=1e-6)
 
@@ -216,7 +214,7 @@ def test_the_posterior_is_that_of_markov_chains(study: Study) -> None:
         losses = comparison.errors.losses(comparison.errors.whiten(comparison.prediction_errors(z)))
         return -0.5 * (np.sum(z**2, axis=1) + comparison.errors.independent_share * losses.sum(axis=1))
 
-    covariance = np.linalg.inv(Problem([comparison]).precision(fitted.mode))
+    covariance = np.linalg.inv(Problem(study.nominal, [windows], fitted.mode, FREEDOM).precision(fitted.mode))
     z = walk(log_densities, fitted.mode, covariance, rng)
     deviations = np.sqrt(np.diag(covariance))
     assert np.all(np.abs(z.mean(axis=0) - fitted.mode) < 0.5 * deviations)

@@ -122,10 +122,12 @@ def test_pieces_of_a_recording_share_its_own(study: Study) -> None:
     posterior = Posterior(study.task, sensors={"pos2": Sensor(zero=0.05)})
     rig, rollout = posterior.prior(study.nominal), Rollout(np.zeros((101, 4)), np.zeros((100, 2)))
     windows = posterior.windows(3 * [rollout], ["one", "other", "one"])
-    comparison, p = Comparison(rig, windows, ErrorDistribution(np.empty((0, 0)))), len(rig.parameters)
+    comparison, p = Comparison(rig, windows), len(rig.parameters)
     np.testing.assert_array_equal(comparison.places[:, -1], [p - 1, p, p - 1])
     z = np.append(np.zeros(p - 1), [1.0, 2.0])
-    fitted = Identified.of_recordings(rig, z, np.eye(p + 1), comparison.places, comparison.errors)
+    fitted = Identified.of_recordings(
+        rig, z, np.eye(p + 1), comparison.places, ErrorDistribution(np.empty((0, 0)))
+    )
     assert [each.mode[-1] for each in fitted.recordings] == [1.0, 2.0]
 
 

@@ -199,7 +199,7 @@ class Posterior(Identification):
         z = self._start(nominal, windows)
         for freedom in (ROBUST_FREEDOM, FREEDOM):
             for _ in range(self._rounds):
-                problem = Problem.at(nominal, compared, z, freedom)
+                problem = Problem(nominal, compared, z, freedom)
                 before, z = z, problem.mode(z, self._evaluations)
                 precision = problem.precision(z)
                 if (z - before) @ precision @ (z - before) < TOLERANCE**2 * len(z):
@@ -218,7 +218,7 @@ class Posterior(Identification):
 
     def _start(self, nominal: Nominal, windows: Windows) -> Array:
         """The likeliest coordinates (p,) among the prior's median, draws from it and declared values."""
-        problem = Comparison(nominal, windows, ErrorDistribution(np.empty((0, 0))))
+        problem = Comparison(nominal, windows)
         z = np.random.default_rng(0).standard_normal((self._starts, problem.size))
         z[0] = 0.0
         if self._differences == "central":

@@ -43,16 +43,14 @@ class Comparison:
     Coordinates z (p,) are those of the first recording, then of what each other one has of its own.
     """
 
-    def __init__(self, nominal: Nominal, windows: Windows, errors: ErrorDistribution) -> None:
+    errors: ErrorDistribution  # which `at` estimates
+
+    def __init__(self, nominal: Nominal, windows: Windows) -> None:
         self._nominal = nominal
         self._windows = windows
         self._observed = windows.means
         recordings = np.arange(len(windows.frames)) if windows.recordings is None else windows.recordings
         self.places = coordinates_of(nominal.parameters, recordings)  # (r, parameters)
-        self.errors = errors
-
-    def __len__(self) -> int:
-        return len(self._windows)
 
     @property
     def size(self) -> int:
@@ -62,7 +60,7 @@ class Comparison:
     @staticmethod
     def at(nominal: Nominal, windows: Windows, z: Array, freedom: float) -> Comparison:
         """The comparison with the errors' covariance estimated at coordinates z (p,)."""
-        made = Comparison(nominal, windows, ErrorDistribution(np.empty((0, 0))))
+        made = Comparison(nominal, windows)
         made.errors = ErrorDistribution.of(made.prediction_errors(z[None])[0], windows, freedom)
         return made
 
@@ -153,19 +151,15 @@ class Problem:
 
     Windows of several durations are of the same data, so their log-likelihoods are averaged, each weighted by
     its number of windows (a composite likelihood: C. Varin, N. Reid, D. Firth, Statistica Sinica 21, 2011).
+    The covariances of errors are estimated at coordinates z (p,).
     """
 
-    def __init__(self, comparisons: Sequence[Comparison]) -> None:
-        self._comparisons = comparisons
-        counts = np.array([len(each) for each in comparisons])
+    def __init__(self, nominal: Nominal, windows: Sequence[Windows], z: Array, freedom: float) -> None:
+        self._comparisons = [Comparison.at(nominal, each, z, freedom) for each in windows]
+        counts = np.array([len(each) for each in windows])
         self._weights = np.sqrt(counts / counts.sum())  # of residuals
-        self.places, self.errors = comparisons[0].places, comparisons[0].errors
+        self.places, self.errors = self._comparisons[0].places, self._comparisons[0].errors
         self._last: tuple[tuple[bytes, Differences], Array, Array] | None = None
-
-    @staticmethod
-    def at(nominal: Nominal, windows: Sequence[Windows], z: Array, freedom: float) -> Problem:
-        """The problem of windows of each duration, with the covariances estimated at coordinates z (p,)."""
-        return Problem([Comparison.at(nominal, each, z, freedom) for each in windows])
 
     def mode(self, z: Array, evaluations: int) -> Array:
         """The most probable coordinates, searched from z."""
