@@ -49,7 +49,8 @@ def mode(
     scale = output_scale(transitions.residuals)
     varying = scale > 0
     centred, inputs = medians.centred(transitions.inputs), transitions.inputs[chosen]
-    x = medians.coordinates(inputs) / medians.input_scale
+    far = replace(medians, linear=0.0).centred(transitions.inputs).centre * medians.length_scale
+    x = medians.coordinates(inputs) / medians.input_scale - far  # else distances would be rounding
     basis = medians.linear * centred.basis(centred.scale(inputs))
     y = transitions.residuals[chosen][:, varying] / scale[varying]
     noise_ratio = medians.noise_variance / medians.signal_variance

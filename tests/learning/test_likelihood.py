@@ -86,6 +86,13 @@ def test_optimum_is_scikit_learns() -> None:
     assert hyper.noise_variance == pytest.approx(reference.k2.noise_level, rel=1e-3)
 
 
+def test_data_far_from_zero_teach_the_same() -> None:
+    data = drawn(medians(2), 60, 1)
+    far = Transitions(data.inputs + np.array([1e7, 0.0]), data.residuals)
+    near, there = (learn(medians(2), each, Learning()).length_scale for each in (data, far))
+    np.testing.assert_allclose(there, near, rtol=1e-3)
+
+
 def test_what_is_learned_is_the_mode_of_likelihood_and_prior() -> None:
     """The prior's pull on each logarithm is the likelihood's slope."""
     data = drawn(Hyperparameters(np.ones(2), np.full(2, 0.5), 1.0, 0.3, 1.0), 80, 2)
