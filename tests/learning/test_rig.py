@@ -1,5 +1,6 @@
 """Motors and sensors whose parameters are known, identified with a robot's own."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -181,6 +182,13 @@ def test_recordings_that_are_fitted_together_have_their_own_zeros(fitted: Identi
     assert not any("pos2.zero" in direction.weights for direction in undetermined(fitted))
     prior = KnownPrior(fitted.model, fitted.known).parameters
     assert {each.name for each in prior if each.of_recording} == {"pos2.zero", "damping_2"}
+
+
+def test_a_known_posterior_has_a_number_for_each_parameter(study: Study) -> None:
+    known = Identified.of_prior(study.nominal).known
+    for wrong in (replace(known, mode=known.mode[:1]), replace(known, spread=known.spread[:1])):
+        with pytest.raises(ConfigError, match=r"known: mode and spread are not of 11 parameters"):
+            KnownPrior(study.nominal, wrong)
 
 
 def test_what_the_task_has_not_is_told(study: Study) -> None:

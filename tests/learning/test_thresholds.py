@@ -1,5 +1,6 @@
 """Section IV-C: what is learned from, and why the rest is not."""
 
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -43,6 +44,14 @@ def test_each_criterion_rejects_and_is_counted(study: Study) -> None:
         rejected = [name for name, count in selection.rejected.items() if count]
         assert rejected == ([criterion] if criterion else [])
         assert len(selection.transitions) == (criterion is None)
+
+
+def test_a_criterion_of_the_tasks_own_has_another_name(study: Study) -> None:
+    for name in ("residual", "other_failure"):
+        task = copy(study.task)
+        task.criteria = (task.criteria[0]._replace(name=name),)
+        with pytest.raises(ValueError, match=f"is called {name}, as one of the samples' own"):
+            Thresholds(task)
 
 
 def test_outliers_are_rejected_and_a_state_at_a_limit_is_within_it(study: Study) -> None:

@@ -315,6 +315,7 @@ def test_a_reference_that_cannot_be_meant_is_refused(tmp_path: Path) -> None:
         ("t,position\n0,0\n5,0,1\n", "row 3: expected 2 cells, got 3"),
         ("time,position\n0,0\n5,1\n", "with commas between, got the columns 'time,position'"),
         ("t;position\n0;0\n5;1\n", "with commas between, got the columns 't;position'"),
+        ("t,position,position\n0,0,0\n5,1,1\n", "got the columns 't,position,position'"),
         ("t,position\n0,0\n0,1\n5,1\n", "t has to grow from 0"),
     ):
         with one_line(message):

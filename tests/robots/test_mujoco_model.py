@@ -381,6 +381,7 @@ def test_a_bad_file_is_one_line(tmp_path: Path) -> None:
         ({"joints": ["slider"]}, "joint hinge: all joints have to be states"),
         ({"joints": ["slider", "knee"]}, "joints: .* has no 'knee'; it has slider, hinge"),
         ({"actuators": ["pull"]}, "actuators: .* has no 'pull'; it has push"),
+        ({"actuators": ["push", "push"]}, "actuators: 'push' is named twice"),
         ({"values": {"pole.colour": 1.0}}, "no parameter is called 'pole.colour'; there is body.mass, "),
         ({"uncertainty": {"knee.*": 1.0}}, "no parameter is called 'knee.*'"),
     ]

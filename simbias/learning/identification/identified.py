@@ -160,7 +160,7 @@ class KnownPrior(Nominal):
     Raises
     ------
     ConfigError
-        If the posterior is of other parameters than the model has, or of other declared values.
+        If the posterior is of other parameters than the model has, of other declared values, or incomplete.
     """
 
     def __init__(self, nominal: Nominal, known: Known) -> None:
@@ -168,6 +168,8 @@ class KnownPrior(Nominal):
         if names != known.parameters:
             problem = f"is of {', '.join(known.parameters)}; the nominal model's parameters are "
             raise ConfigError("identification.known", problem + (", ".join(names) or "none"))
+        if [len(known.mode), len(known.spread), *map(len, known.spread)] != [len(names)] * (2 + len(names)):
+            raise ConfigError("identification.known", f"mode and spread are not of {len(names)} parameters")
         declared = [_declared(parameter) for parameter in nominal.parameters]
         for name, before, now in zip(names, known.declared or declared, declared, strict=True):
             if before != now:

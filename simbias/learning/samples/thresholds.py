@@ -11,9 +11,10 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from simbias.core import Nominal, Samples, Task
 from simbias.core.ranges import Positive, Span, frames_in
-from simbias.core.records import Array, Indices, Rollout, Selection, Transitions
+from simbias.core.records import Array, Flags, Indices, Rollout, Selection, Transitions
 from simbias.simulation.linearization import input_scale
 
+RESIDUAL = "residual"  # criterion 7
 OTHERS = "other_failure"  # what failed by a criterion that is not the task's, as of a hardware's own
 
 
@@ -26,20 +27,6 @@ class Windows:
 
 
 _WINDOWS = Windows()
-
-
-@dataclass(frozen=True, eq=False)
-class _Candidates:
-    """Transitions of a rollout, or weighted means of successive ones, and the criterion that rejects each."""
-
-    inputs: Array  # (k, n+m)
-    residuals: Array  # (k, n)
-    verdicts: Indices  # (k,) index of a criterion, -1 of what is accepted
-
-    def accepted(self, stride: int) -> Transitions:
-        """The transitions, one of each `stride`, that no criterion rejects."""
-        rows = np.flatnonzero(self.verdicts[::stride] < 0) * stride
-        return Transitions(self.inputs[rows], self.residuals[rows])
 
 
 class Thresholds(Samples):
@@ -78,26 +65,34 @@ class Thresholds(Samples):
         unknown = sorted(set(limits or {}) - set(names))
         if unknown:
             raise ValueError(f"limits names no criterion of the task: {', '.join(unknown)}; it has {names}")
+        if taken := sorted({RESIDUAL, OTHERS} & set(names)):
+            raise ValueError(f"a criterion of the task is called {taken[0]}, as one of the samples' own")
         self._task = task
         self._stride = frames_in(stride, task.time_step)
         self._limits = {c.name: c.limit for c in task.criteria} | dict(limits or {})
-        self._limits["residual"] = np.inf if residual is None else residual
+        self._limits[RESIDUAL] = np.inf if residual is None else residual
         self._true_state = frames_in(window.true_state, task.time_step)
         self._measured = frames_in(window.measured, task.time_step)
         self._selection = selection
 
     def select(self, rollouts: Sequence[Rollout], nominal: Nominal) -> Selection:
         """Downsample; judge states and residuals (Eq. 6) by the criteria; count what each rejects first."""
-        candidates = [self._candidates(rollout, nominal) for rollout in rollouts]
-        verdicts = [verdict for each in candidates for verdict in each.verdicts[:: self._stride].tolist()]
-        transitions = self._union(candidates, self._stride)
+        every = Transitions.empty(len(self._task.states), len(self._task.inputs))
+        verdicts, sampled = np.empty(0, np.int64), np.empty(0, np.bool_)
+        for rollout in rollouts:
+            candidates, judged = self._candidates(rollout, nominal)
+            every, verdicts = every | candidates, np.append(verdicts, judged)
+            sampled = np.append(sampled, np.arange(len(judged)) % self._stride == 0)
+        accepted = verdicts < 0
+        transitions = _chosen(every, sampled & accepted)
         if self._selection == "information":
-            transitions = self._spread(self._union(candidates, 1), len(transitions))
+            transitions = self._spread(_chosen(every, accepted), len(transitions))
         frames = sum(rollout.frames for rollout in rollouts)
-        rejected = {name: verdicts.count(index) for index, name in enumerate(self._limits)}
-        if others := verdicts.count(len(rejected)):
+        told = verdicts[sampled].tolist()
+        rejected = {name: told.count(index) for index, name in enumerate(self._limits)}
+        if others := told.count(len(rejected)):
             rejected[OTHERS] = others
-        return Selection(transitions, frames, len(verdicts), rejected, self._why_none(rollouts))
+        return Selection(transitions, frames, len(told), rejected, self._why_none(rollouts))
 
     def _window_of(self, rollout: Rollout) -> int:
         """Frames of a sample of this rollout."""
@@ -115,13 +110,12 @@ class Thresholds(Samples):
             f"({window * self._task.time_step:g} s, samples.window.{key})"
         )
 
-    def _candidates(self, rollout: Rollout, nominal: Nominal) -> _Candidates:
-        """The samples that begin at each frame."""
+    def _candidates(self, rollout: Rollout, nominal: Nominal) -> tuple[Transitions, Indices]:
+        """The samples that begin at each frame, and the index of the criterion that rejects each, or -1."""
         states, inputs = rollout.states, rollout.inputs
         window = self._window_of(rollout)
         if rollout.frames < window:
-            nothing = Transitions.empty(states.shape[1], inputs.shape[1])
-            return _Candidates(nothing.inputs, nothing.residuals, np.empty(0, np.int64))
+            return Transitions.empty(states.shape[1], inputs.shape[1]), np.empty(0, np.int64)
         residuals = states[1:] - nominal.along(states[:-1], inputs)  # Eq. 6
         acted = nominal.acted_along(states[:-1], inputs)
         weights = line_weights(window)
@@ -134,7 +128,7 @@ class Thresholds(Samples):
             names = list(self._limits)
             failure = names.index(rollout.failure) if rollout.failure in names else len(names)
             verdicts[max(rollout.failed_at - window, 0) :] = failure
-        return _Candidates(np.concatenate([x, u], axis=1), residuals, verdicts)
+        return Transitions(np.concatenate([x, u], axis=1), residuals), verdicts
 
     def _verdicts(self, x: Array, x_next: Array, residuals: Array) -> Indices:
         """The first of the criteria 1-7 that rejects each sample from x (k, n) to x_next (k, n); else -1."""
@@ -153,15 +147,12 @@ class Thresholds(Samples):
         while len(chosen) < count:
             chosen.append(int(np.argmax(distance)))
             distance = np.minimum(distance, np.linalg.norm(places - places[chosen[-1]], axis=1))
-        rows = sorted(chosen)
-        return Transitions(transitions.inputs[rows], transitions.residuals[rows])
+        return _chosen(transitions, np.array(sorted(chosen)))
 
-    def _union(self, candidates: Sequence[_Candidates], stride: int) -> Transitions:
-        """The accepted transitions of all rollouts."""
-        union = Transitions.empty(len(self._task.states), len(self._task.inputs))
-        for candidate in candidates:
-            union |= candidate.accepted(stride)
-        return union
+
+def _chosen(transitions: Transitions, rows: Flags | Indices) -> Transitions:
+    """Some of the transitions."""
+    return Transitions(transitions.inputs[rows], transitions.residuals[rows])
 
 
 def line_weights(window: int) -> Array:

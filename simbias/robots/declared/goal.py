@@ -81,7 +81,7 @@ def _rows(file: str, seconds: float) -> tuple[tuple[str, ...], Array, Array]:
             (_, header), *rows = [(i, row) for i, row in enumerate(csv.reader(stream), 1) if any(row)]
     except (OSError, ValueError) as error:
         raise ValueError(f"reference {quote(file)}: {error}") from error
-    if header[0] != TIME or len(header) < 2 or not rows:
+    if header[0] != TIME or len(header) < 2 or len(set(header)) < len(header) or not rows:
         raise ValueError(
             f"reference {quote(file)}: expected rows of t and of the goal's quantities, with commas between, "
             f"got the columns {quote(','.join(header))}"

@@ -180,10 +180,12 @@ def _in_order(joints: list[str], task: Task) -> list[str]:
 
 
 def _check(wanted: Sequence[str], known: Sequence[str], key: str, file: str) -> None:
-    """Names that a file has to have."""
-    for name in wanted:
+    """Names that a file has to have, each of another element."""
+    for i, name in enumerate(wanted):
         if name not in known:
             raise ValueError(f"{key}: {file} has no {quote(name)}; it has {', '.join(known)}")
+        if name in wanted[:i]:
+            raise ValueError(f"{key}: {quote(name)} is named twice")
 
 
 def _places(addresses: Indices, count: int, joint: int) -> Indices:
