@@ -74,10 +74,10 @@ class Designer:
         rng = np.random.default_rng(SEED)
         known = model if isinstance(model, Identified) else Identified.of_prior(self.nominal)
         self._errors = known.errors
-        self._z = np.array([known.mode, *(known.draw_coordinates(rng) for _ in range(MODELS - 1))])
-        self._models = [self.nominal.with_parameters(values_at(parameters, each)) for each in self._z]
+        z = np.array([known.mode, *(known.draw_coordinates(rng) for _ in range(MODELS - 1))])
+        self._models = [self.nominal.with_parameters(values_at(parameters, each)) for each in z]
         # Along with what has been learned at the mode, another draw would seem to determine everything.
-        judged_at = self._z[: 1 if known is model else JUDGED]
+        judged_at = z[: 1 if known is model else JUDGED]
         self._informations = [Information(self.nominal, each) for each in judged_at]
         self._precision = np.linalg.inv(known.covariance)
         self.before = np.sqrt(np.diag(known.covariance))  # (p,)

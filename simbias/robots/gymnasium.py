@@ -139,17 +139,17 @@ class _Action:
         self._expressions = Expressions(texts, names)
         self._discrete = hasattr(space, "n") and hasattr(space, "start")  # which no MultiBinary has
         if self._discrete:
-            low, high, size = float(space.start), float(space.start + space.n - 1), 1
-            self._low, self._high = np.array([low]), np.array([high])
+            self._low = np.array([space.start], np.float64)
+            self._high = self._low + (space.n - 1)
         else:
             if not hasattr(space, "low") or len(space.shape) != 1:
                 raise ValueError(
                     f"an action of {environment} is neither a vector nor one of several, but {space}"
                 )
-            size = space.shape[0]
             self._low, self._high = (np.asarray(b, dtype=np.float64) for b in (space.low, space.high))
-        if len(texts) != size:
-            raise ValueError(f"an action of {environment} has {size} numbers; {len(texts)} are given")
+        if len(texts) != len(self._low):
+            has = f"an action of {environment} has {len(self._low)} numbers"
+            raise ValueError(f"{has}; {len(texts)} are given")
         for u in task.input_bounds:
             asked = self._expressions(u)
             if (asked < self._low - 1e-6).any() or (asked > self._high + 1e-6).any():
