@@ -103,9 +103,10 @@ class Comparison:
 
     def prediction_errors(self, z: Array) -> Array:
         """Errors (k, w, J, n) with the parameters at coordinates z (k, p)."""
-        return self._predictions(z) - self._observed
+        no_offsets = np.zeros((len(z), self._windows.states.shape[1]))
+        return self._predictions(z, no_offsets) - self._observed
 
-    def _predictions(self, z: Array, offsets: Array | None = None) -> Array:
+    def _predictions(self, z: Array, offsets: Array) -> Array:
         """Means (k, w, J, n) over chunks at coordinates z (k, p), from starts that are off by (k, n)."""
         if self.size == self.places.shape[1]:  # no recording has anything of its own, or there is one alone
             return predict(self._models(z, offsets), self._windows)
@@ -120,12 +121,11 @@ class Comparison:
         ]
         return np.concatenate(made, axis=1)
 
-    def _models(self, z: Array, offsets: Array | None) -> list[PredictionModel]:
+    def _models(self, z: Array, offsets: Array) -> list[PredictionModel]:
         """Models at coordinates (k, parameters), from starts that are off by (k, n)."""
-        models = [self._nominal.with_parameters(each) for each in values_at(self._nominal.parameters, z)]
-        if offsets is None:
-            return [PredictionModel(model) for model in models]
-        return [PredictionModel(model, offset=each) for model, each in zip(models, offsets, strict=True)]
+        values = values_at(self._nominal.parameters, z)
+        pairs = zip(values, offsets, strict=True)
+        return [PredictionModel(self._nominal.with_parameters(v), off) for v, off in pairs]
 
 
 class Information:
