@@ -51,7 +51,11 @@ class Reference:
             self.names, self._times, values = _rows(file, seconds)
             slopes = np.diff(values, axis=0) / np.diff(self._times)[:, None]
             self._first, self._changes = values[0], np.diff(slopes, axis=0, prepend=0.0, append=0.0)
-        self._check(np.linspace(0.0, seconds, 1000))
+        times = np.linspace(0.0, seconds, 1000)
+        finite = np.broadcast_to(np.isfinite(self(times)), (len(times), len(self.names)))
+        if not finite.all():
+            row, column = np.argwhere(~finite)[0]
+            raise ValueError(f"goal.{self.names[column]} is no number at t = {times[row]:.3g} s")
 
     def __call__(self, t: Any, targets: Array | None = None) -> Array:
         """Reference values (..., g) at times t (...) in s, of targets (..., k); None: their means."""
@@ -64,14 +68,6 @@ class Reference:
             values = self._expressions(times[None])
             return values[0] if values.ndim > times.ndim else values  # of constants alone, there is one row
         return self._first + np.maximum(times - self._times, 0.0) @ self._changes
-
-    def _check(self, times: Array) -> None:
-        """Refuse a reference that is no number somewhere."""
-        values = self(times)
-        values = np.broadcast_to(values, (len(times), len(self.names)))
-        if not np.isfinite(values).all():
-            row, column = np.argwhere(~np.isfinite(values))[0]
-            raise ValueError(f"goal.{self.names[column]} is no number at t = {times[row]:.3g} s")
 
 
 def _rows(file: str, seconds: float) -> tuple[tuple[str, ...], Array, Array]:
