@@ -177,7 +177,6 @@ class KnownPrior(Nominal):
                 raise ConfigError("identification.known", problem)
         self._nominal = nominal
         self._mode, self._spread = np.array(known.mode), np.array(known.spread)
-        self.kernel, self.state_size, self.acting = nominal.kernel, nominal.state_size, nominal.acting
         own = [
             parameter.of_recording and known.spread[i] == np.eye(len(names))[i].tolist()
             for i, parameter in enumerate(nominal.parameters)
