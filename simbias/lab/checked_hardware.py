@@ -145,7 +145,6 @@ class CheckedHardware(Hardware):
         return make(rng) if self._record is None else self._record.experiment(theta, rng, make)
 
     def _make(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
-        """Make an experiment on the hardware."""
         if self._ask is not None:
             if not self._ask(policy, theta, start):
                 raise Waiting("the experiment was not confirmed (hardware.confirm=true)")
@@ -156,7 +155,6 @@ class CheckedHardware(Hardware):
         return beside(replace(self._checked(returned, theta, start), parameters=theta), targets)
 
     def _checked(self, returned: Any, theta: Array, start: Array) -> Rollout:
-        """The rollout that the hardware returned."""
         try:
             begins = start if self.sets_start else None
             return check_rollout(returned, self._name, self._task, self._bounds, begins)

@@ -155,7 +155,6 @@ class DoublePendulum(Nominal):
         return self._with({"friction_1": 0.0, "friction_2": 0.0})
 
     def _with(self, values: dict[str, float]) -> DoublePendulum:
-        """The model with some other values."""
         other = copy(self)
         other._values = self._values | values
         other.kernel = other._compiled()

@@ -190,7 +190,6 @@ class _Running(Robot):
 
 
 def _make(name: str, options: dict[str, Any]) -> Any:
-    """Make the environment of this name."""
     gymnasium = library("gymnasium", "Gymnasium", "gymnasium")
     if ":" in name:  # whose first part would be imported
         raise ValueError(f"{quote(name)} names a module; only registered environments are made")

@@ -234,10 +234,8 @@ def _words(task: Task, title: str) -> dict[str, object]:
 
 
 def _list(quantities: Sequence[Quantity]) -> str:
-    """Names and units, in order."""
     return ", ".join(harmless(f"{quantity.name} ({quantity.unit})") for quantity in quantities)
 
 
 def _indented(lines: Sequence[str]) -> str:
-    """Lines of a function's body."""
     return indent("".join(f"{line}\n" for line in lines), "    ")

@@ -161,5 +161,4 @@ def _within(tolerance: float) -> str:
 
 
 def _indented(lines: Iterable[str]) -> str:
-    """Lines of a list."""
     return "\n".join(f"  {line}" for line in lines)

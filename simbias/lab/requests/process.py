@@ -113,7 +113,6 @@ class Process(Hardware):
             ) from error
 
     def _rollout(self, answer: Any, request: ExperimentRequest) -> Rollout:
-        """The rollout in an answer."""
         if isinstance(answer, Mapping) and isinstance(answer.get("waiting"), str):
             raise Waiting(answer["waiting"])
         if not isinstance(answer, Mapping) or not {"states", "inputs"} <= answer.keys():

@@ -127,7 +127,6 @@ class ExperimentRequest:
 
 
 def _named(quantities: Sequence[Quantity]) -> list[dict[str, Any]]:
-    """Names and units."""
     return [{"name": quantity.name, "unit": quantity.unit} for quantity in quantities]
 
 

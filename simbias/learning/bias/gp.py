@@ -93,7 +93,6 @@ class GaussianProcess(Bias):
         }
 
     def _warn_of_a_slow_search(self, N: int) -> None:
-        """Warn where a search with the exact posterior takes longer than PATIENCE."""
         seconds = STEPS_OF_A_SEARCH * SECONDS_PER_STEP * N**2
         if seconds > PATIENCE:
             better = "sparse_gp_learned" if self._learning else "sparse_gp"

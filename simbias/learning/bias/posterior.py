@@ -43,7 +43,6 @@ class Posterior(FittedBias):
     diagnostics: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Compile it."""
         d_n = self.hyper.d * self.W.shape[1]
         self.kernel = _compiled(self.hyper, self.points, self.W, self.U, d_n, self.trend.mean)
 

@@ -204,12 +204,10 @@ def check_signals(task: Task, motors: Mapping[str, Motor], sensors: Mapping[str,
 
 
 def _names(signals: Sequence[Quantity | Parameter]) -> list[str]:
-    """Their names."""
     return [each.name for each in signals]
 
 
 def _check_names(named: Sequence[str] | Mapping[str, object], known: Sequence[str], key: str) -> None:
-    """Refuse what is not known."""
     unknown = sorted(set(named) - set(known))
     if unknown:
         raise ValueError(f"{key}: no {', '.join(unknown)}; there is {', '.join(known)}")

@@ -151,7 +151,6 @@ class Thresholds(Samples):
 
 
 def _chosen(transitions: Transitions, rows: Flags | Indices) -> Transitions:
-    """Some of the transitions."""
     return Transitions(transitions.inputs[rows], transitions.residuals[rows])
 
 

@@ -98,7 +98,6 @@ class LagrangianBongoboard(Nominal):
         return self._with(dict(zip(self._names, values.tolist(), strict=True)), self._names)
 
     def _with(self, values: Mapping[str, float], present: Collection[str]) -> LagrangianBongoboard:
-        """Another model, as `_build` makes it."""
         changed = copy(self)
         changed._build(values, present)
         return changed
@@ -147,7 +146,6 @@ class LagrangianBongoboard(Nominal):
 
     @property
     def _equations(self) -> Any:
-        """The module of the equations of motion."""
         return losses if self._is_disturbed else equations
 
     def accelerations(self, x: Array, u: Array) -> Array:

@@ -108,7 +108,6 @@ def _rows(file: str, seconds: float) -> tuple[tuple[str, ...], Array, Array]:
 
 
 def _numbers(where: str, header: Sequence[str], row: Sequence[str]) -> list[float]:
-    """The numbers in a row of a file."""
     if len(row) != len(header):
         raise ValueError(f"{where}: expected {len(header)} cells, got {len(row)}")
     numbers = []

@@ -139,13 +139,11 @@ class Declared(Task):
         self.start_mean, self.start_deviation = self._starts.mean, self._starts.deviation
 
     def _set_inputs(self, inputs: dict[str, Input]) -> None:
-        """Set the inputs and their limits."""
         self.inputs = tuple(Quantity(name, each.unit, each.kind) for name, each in inputs.items())
         self._input_bounds = lower, upper = bounds_of(inputs)
         self.input_limit = np.maximum(-lower, upper)
 
     def _set_outputs(self, outputs: dict[str, Output]) -> None:
-        """Set what a policy feeds back."""
         given = outputs or {state.name: Output(state.name, state.unit) for state in self.states}
         self.outputs = tuple(Quantity(name, output.unit) for name, output in given.items())
         self._output = self.expressions({name: output.value for name, output in given.items()})
@@ -181,7 +179,6 @@ class Declared(Task):
         )
 
     def _set_goal(self, goal: Mapping[str, str], file: str | None) -> None:
-        """Set the goal's quantities and their reference."""
         if goal and file:
             raise ValueError("one of goal and reference is to be given")
         self._reference, self._goals = None, self.states
@@ -202,7 +199,6 @@ class Declared(Task):
         check_within(self._reference, self.criteria, self.horizon * self.time_step)
 
     def _set_success(self, success: Mapping[str, Failure], hold: float | None) -> None:
-        """When an episode succeeds."""
         self._success = None
         if bool(success) != (hold is not None):
             raise ValueError("success and hold are to be given together")

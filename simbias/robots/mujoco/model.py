@@ -118,7 +118,6 @@ class Mujoco(Nominal):
         return self._with({f"{name}.friction": 0.0 for name in names_of(self._robot.model, "joint")})
 
     def _with(self, values: Mapping[str, float]) -> Mujoco:
-        """The model with some other values."""
         changed = copy(self)
         changed._robot = self._robot.with_values(values)
         changed._model = EngineModel(changed._robot.model)
