@@ -101,7 +101,7 @@ def _controller(parsed: argparse.Namespace) -> int:
 
 def _report(parsed: argparse.Namespace) -> int:
     """Write the page of a trial or a sweep."""
-    from simbias.report.folder import write_report
+    from simbias.report.pages import write_report
 
     for file in write_report(parsed.folder, parsed.config_dir, parsed.allow):
         print(f"Look at it:  {file}")

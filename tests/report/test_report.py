@@ -18,9 +18,7 @@ from simbias.core import markdown
 from simbias.core.errors import ConfigError
 from simbias.mlflow.notes import note
 from simbias.pictures.trial.gallery import FIGURES
-from simbias.report.folder import write_report
-from simbias.report.sweep import sweep_page
-from simbias.report.trial import trial_page
+from simbias.report.pages import sweep_page, trial_page, write_report
 from simbias.sweep.folder import SweepFolder
 from simbias.trial.folder import TrialFolder
 from simbias.trial.run import run_trial
@@ -60,7 +58,7 @@ def trial(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 def test_the_page_of_a_trial_tells_what_its_folder_does(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     some = {name: FIGURES[name] for name in ("costs", "phases")}
-    monkeypatch.setattr("simbias.report.trial.FIGURES", some)
+    monkeypatch.setattr("simbias.report.pages.FIGURES", some)
     (file,) = write_report(trial)
     html, summary = file.read_text(), json.loads((trial / "outcome.json").read_text())
     assert file == trial / "report.html"
@@ -79,7 +77,7 @@ def test_the_page_of_a_trial_tells_what_its_folder_does(trial: Path, monkeypatch
 def test_the_page_and_the_note_have_what_was_identified(
     trial: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("simbias.report.trial.FIGURES", {})
+    monkeypatch.setattr("simbias.report.pages.FIGURES", {})
     folder = Path(copytree(trial, tmp_path / trial.name))
     step = next(folder.glob("*_iteration.json"))
     estimate = {"name": "<i>", "unit": "s", "declared": 0.0, "value": 0.02, "low": 0.01, "high": 0.03}
@@ -96,7 +94,7 @@ def test_what_files_say_is_text_and_never_markup(
     trial: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of a trial that somebody else made; one that is unfinished has a page, another folder none."""
-    monkeypatch.setattr("simbias.report.trial.FIGURES", {})
+    monkeypatch.setattr("simbias.report.pages.FIGURES", {})
     copy = tmp_path / trial.name
     copy.mkdir()
     with pytest.raises(ConfigError, match="is the folder of no trial or sweep"):
@@ -105,7 +103,7 @@ def test_what_files_say_is_text_and_never_markup(
         (copy / name).write_bytes((trial / name).read_bytes())
     with monkeypatch.context() as patch:
         patch.setattr("os.access", lambda path, mode: path != copy)
-        patch.setattr("simbias.report.folder.trial_page", None)  # nothing is drawn before
+        patch.setattr("simbias.report.pages.trial_page", None)  # nothing is drawn before
         with pytest.raises(ConfigError, match=r"report\.html: cannot be written"):
             write_report(copy)
     assert "Interrupted after 0 hardware experiments" in write_report(copy)[0].read_text()

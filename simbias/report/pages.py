@@ -1,0 +1,164 @@
+"""Report pages, written into the folders of trials and sweeps that they are made of."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import yaml
+from threadpoolctl import threadpool_limits
+
+from simbias.config.stored import read_folder
+from simbias.core import markdown
+from simbias.core.errors import ConfigError
+from simbias.core.messages import printable
+from simbias.core.proportions import counted_share, wilson
+from simbias.pictures.elements import html
+from simbias.pictures.elements.drawing import NoPictureError
+from simbias.pictures.trial.gallery import FIGURES
+from simbias.sweep.folder import SWEEP, SweepFolder, sweep_folders
+from simbias.sweep.tables import left_out
+from simbias.trial.disk import write_whole
+from simbias.trial.folder import TRIAL, TrialFolder
+from simbias.trial.run import TrialRecord
+from simbias.trial.summary import COLUMNS, PARAMETERS, TrialSummary, cells, parameters
+
+FILE = "report.html"
+MOST_ROWS = 1000  # of a sweep's table on the page
+TOLD = ("hash", "user", "commit", "changed", "command")  # of a description, in words
+
+
+def write_report(folder: Path, config_dir: Path | str | None = None, allow: Sequence[str] = ()) -> list[Path]:
+    """Write `report.html` into a trial's or a sweep's folder, or into those of all sweeps beside trials.
+
+    Raises
+    ------
+    ConfigError
+        If the folder holds neither, or what it holds cannot be read or written.
+    """
+    alone = [folder] if (folder / TRIAL).is_file() or (folder / SWEEP).is_file() else []
+    folders = alone or [sweep.path for sweep in sweep_folders(folder)]
+    if not folders:
+        raise ConfigError(str(folder), "is the folder of no trial or sweep, as trials/7a29f4c5425f")
+    for own in folders:  # before minutes of drawing
+        if not os.access(own, os.W_OK):
+            raise ConfigError(str(own / FILE), f"cannot be written ({os.strerror(errno.EACCES)})")
+    for own in folders:
+        trial = (own / TRIAL).is_file()
+        page = trial_page(own, config_dir, allow) if trial else sweep_page(SweepFolder(own))
+        try:
+            write_whole(own / FILE, page.encode())
+        except OSError as error:
+            raise ConfigError(str(own / FILE), f"cannot be written ({error.strerror})") from error
+    return [own / FILE for own in folders]
+
+
+def trial_page(folder: Path, config_dir: Path | str | None, allow: Sequence[str]) -> str:
+    """The report of a trial, ended or not, as HTML in one file; errors as of `simbias.load_trial`."""
+    record = read_folder(folder, config_dir, allow)
+    with threadpool_limits(1, user_api="blas"):  # as when the trial ran
+        return html.page(record.study.title, _trial_parts(record, TrialFolder(folder)))
+
+
+def _trial_parts(record: TrialRecord, folder: TrialFolder) -> Iterator[str]:
+    """From the verdict to the config."""
+    summary = record.summary
+    yield html.paragraph(f"{summary.outcome.verdict} after {summary.effort}. {summary.reason}")
+    for finding in summary.findings:
+        yield html.paragraph(finding)
+    notes = [*summary.diagnostics, *map(str, record.withdrawn)]
+    if notes:
+        yield html.items(notes)
+    yield html.heading("Iterations")
+    iterations = folder.iterations()
+    yield html.table(COLUMNS, map(cells, iterations))
+    if identified := parameters(iterations):
+        yield html.heading("Identified parameters of the last policy's model")
+        yield html.table(PARAMETERS, identified)
+    for name, draw in FIGURES.items() if record.iterations else ():
+        try:
+            figure = draw(record.study, record.iterations)
+        except NoPictureError:
+            continue
+        except Exception as error:  # no page is worth losing for a picture
+            yield html.paragraph(f"{name}: no picture ({type(error).__name__}: {error})")
+        else:
+            yield html.heading(name.replace("_", " ").capitalize())
+            yield html.picture(figure, name.replace("_", " "))
+    yield from _made_with(folder.description())
+
+
+def sweep_page(folder: SweepFolder) -> str:
+    """The report of a sweep, ended or not, as HTML in one file.
+
+    Raises
+    ------
+    ConfigError
+        If its description or a trial's outcome cannot be read.
+    """
+    description = folder.description()
+    return html.page(f"Sweep {description['name']}", _sweep_parts(folder, description))
+
+
+def _sweep_parts(folder: SweepFolder, description: dict) -> Iterator[str]:
+    """From how far it is to the config."""
+    summaries = [TrialFolder(folder.trials / name).summary() for name in description["trials"]]
+    begun = [summary for summary in summaries if summary is not None]
+    ended = [summary for summary in begun if summary.outcome.final]
+    succeeded = sum(str(summary.outcome) == "succeeded" for summary in ended)
+    yield html.paragraph(
+        f"{len(ended)} of {len(summaries)} trials have ended; of these succeeded "
+        f"{counted_share(succeeded, len(ended))}.{left_out(str(each.outcome) for each in begun)}"
+    )
+    yield from _claims(ended)
+    for file in folder.figures():
+        if file.suffix == ".png":
+            caption = file.with_suffix(".md")
+            words = " ".join(caption.read_text(encoding="utf-8").split()) if caption.is_file() else file.stem
+            yield html.heading(file.stem)
+            yield html.image(file.read_bytes(), words)
+            yield html.paragraph(words)
+            if (numbers := file.with_suffix(".csv")).is_file():
+                frame = pd.read_csv(numbers, dtype=str, keep_default_na=False)
+                told = frame.loc[:, (frame != "").any()]  # not of what no cell has
+                yield from _table(list(told.columns), told.to_numpy().tolist())
+    if "table" in (state := folder.state()):
+        yield html.heading("Cells")
+        yield html.paragraph(str(state["legend"]))
+        head, *rows = markdown.cells(state["table"])
+        yield from _table(head, rows)
+    yield from _made_with(description)
+
+
+def _claims(ended: list[TrialSummary]) -> Iterator[str]:
+    """How many trials claim more than the test of their last policies bears out."""
+    tested = [(each.test_episodes, each.claimed_share) for each in ended if each.claim and each.test_episodes]
+    if not tested:
+        return
+    wrong = sum(wilson(test.count("1"), len(test)).high < share for test, share in tested)
+    yield html.paragraph(
+        f"Of trials that claim a share of starts, by their own experiments at 95% confidence, the test of "
+        f"the last policy contradicts {counted_share(wrong, len(tested))}."
+    )
+
+
+def _table(head: list[str], rows: list[list[str]]) -> Iterator[str]:
+    """A table, if it is not too long to be read."""
+    if len(rows) <= MOST_ROWS:
+        yield html.table(head, rows)
+
+
+def _made_with(description: Mapping[str, Any]) -> Iterator[str]:
+    """Config, versions and code."""
+    yield html.heading("How it was made")
+    lines = [f"{name}: {description[name]}" for name in TOLD if description.get(name)]
+    lines += [f"{name} {version}" for name, version in description.get("versions", {}).items()]
+    lines += [f"{name}: own code or file, {digest}" for name, digest in description.get("code", {}).items()]
+    yield html.items(printable(line) for line in lines)
+    yield html.heading("Config")
+    config = description.get("config", {})
+    yield html.preformatted(yaml.safe_dump(config, sort_keys=False, allow_unicode=True))
