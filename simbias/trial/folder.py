@@ -92,6 +92,10 @@ class TrialFolder:
             If it cannot be read.
         """
         file = self.numbered(OUTCOME)
+        if file.exists():
+            content: Any = read_json(file)
+        else:
+            file, content = self.path / ATTEMPTS, next(iter(self.attempts()[-1:]), {}).get("stopped")
         try:
             if file.exists():
                 return TrialSummary.from_json(read_json(file))

@@ -208,6 +208,13 @@ def test_what_cannot_be_read_is_one_line_that_names_the_file(
         read_folder(tmp_path)
 
 
+@pytest.mark.parametrize("stopped", [3, {"outcome": "fine"}])
+def test_an_attempt_that_cannot_be_read_is_named(tmp_path: Path, stopped: object) -> None:
+    (tmp_path / ATTEMPTS).write_text(json.dumps({"stopped": stopped}))
+    with one_line(r"attempts\.jsonl: cannot be read"):
+        TrialFolder(tmp_path).summary()
+
+
 def test_files_of_ones_own_are_no_steps(tmp_path: Path) -> None:
     """Whatever they begin with."""
     names = ["0000_search.json", "10001_experiment.npz"]
