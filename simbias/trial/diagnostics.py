@@ -20,10 +20,7 @@ from simbias.learning.identification.identified import Identified
 from simbias.simulation.closed_loop import simulator
 from simbias.trial.study import Study
 
-NEARER, EARLIER = (
-    0.95,
-    0.9,
-)  # times the least distance in this share of an episode: it was still coming nearer
+NEARER, EARLIER = 0.95, 0.9  # times the least distance in this share of an episode: it was coming nearer
 SAME = 1e-6  # of a policy's largest parameter, within which parameters say the same
 
 _simulated: WeakKeyDictionary[Iteration, tuple[Remark, ...]] = WeakKeyDictionary()

@@ -24,7 +24,7 @@ from __future__ import annotations
 import re
 import shutil
 import time
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -97,13 +97,8 @@ class TrialFolder:
         else:
             file, content = self.path / ATTEMPTS, next(iter(self.attempts()[-1:]), {}).get("stopped")
         try:
-            if file.exists():
-                return TrialSummary.from_json(read_json(file))
-            stops = self.attempts()[-1:]
-            return TrialSummary.from_json(stops[0]["stopped"]) if stops and "stopped" in stops[0] else None
-        except ConfigError:
-            raise
-        except (KeyError, TypeError, ValueError) as error:
+            return None if content is None else TrialSummary.from_json(content)
+        except (AttributeError, ValueError) as error:
             raise ConfigError(str(file), f"cannot be read ({words(error)})") from error
 
     def attempts(self) -> list[dict[str, Any]]:
@@ -149,6 +144,11 @@ class TrialFolder:
         found = (file for file in self.path.rglob("*") if file.is_file() and not file.name.startswith("."))
         return sorted(file for file in found if file.suffix != PART)
 
+    def held(self) -> AbstractContextManager[None]:
+        """Hold the folder for this process; a ConfigError if another holds it, or it cannot be written."""
+        taken = ConfigError(str(self.path), "another process is running this trial")
+        return locked(self.path / LOCK, LOCK_SECONDS, taken)
+
 
 def number(step: Path) -> int:
     """The number that the name of a step's file begins with."""
@@ -171,7 +171,7 @@ def withdraw(experiment: Path, reason: str = "") -> Withdrawal:
     if not (folder.path / TRIAL).exists():
         raise ConfigError(str(experiment), "is in no trial's folder")
     folder.description()  # without which it could not be resumed
-    with locked(folder.path / LOCK, LOCK_SECONDS, running(folder.path)):
+    with folder.held():
         counted = [file.name for file in folder.steps()]
         experiments = [name for name in counted if name.endswith((EXPERIMENT, EPISODE))]
         if experiment.name not in experiments:
@@ -183,8 +183,3 @@ def withdraw(experiment: Path, reason: str = "") -> Withdrawal:
         withdrawal = Withdrawal(experiment.name, reason, tuple(superseded), time.time(), seconds)
         append_line(folder.path / ATTEMPTS, {"withdrawn": asdict(withdrawal)})
     return withdrawal
-
-
-def running(folder: Path) -> ConfigError:
-    """The error of a folder that another process holds."""
-    return ConfigError(str(folder), "another process is running this trial")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -29,35 +30,29 @@ def check_simulator(hardware: Hardware, key: str = "method") -> None:
         raise ConfigError(key, problem)
 
 
-class CostOnHardware:
+def cost_on_hardware(
+    study: Study, hardware: Hardware, rng: np.random.Generator, rollouts: int
+) -> Callable[[Array], float]:
     """The mean cost Z (Eq. 8) of a policy over some starts and noise, drawn once, the same for every policy.
 
     The hardware is a simulator: it is run as often as a search asks, under the study's conditions. Nobody is
     asked about one of simbias's, which moves nothing; one of the user's own may be a robot, as may be what is
-    behind an environment that is not Gymnasium's.
-
-    Raises
-    ------
-    ConfigError
-        As of `check_simulator`.
+    behind an environment that is not Gymnasium's. A policy that fails from the first starts costs the mean
+    of these. Errors as of `check_simulator`.
     """
+    check_simulator(hardware)
+    robot = is_own(hardware) or not getattr(hardware, "simulates", True)
+    conditions = replace(study.conditions, confirm=study.conditions.confirm and robot)
+    checked = CheckedHardware(hardware, study.task, conditions)
+    scenarios = [(study.task.draw_start(each), int(each.integers(2**62))) for each in rng.spawn(rollouts)]
 
-    def __init__(self, study: Study, hardware: Hardware, rng: np.random.Generator, rollouts: int) -> None:
-        check_simulator(hardware)
-        robot = is_own(hardware) or not getattr(hardware, "simulates", True)
-        conditions = replace(study.conditions, confirm=study.conditions.confirm and robot)
-        self._study, self._hardware = study, CheckedHardware(hardware, study.task, conditions)
-        self._scenarios = [
-            (study.task.draw_start(each), int(each.integers(2**62))) for each in rng.spawn(rollouts)
-        ]
-
-    def __call__(self, theta: Array) -> float:
-        """The mean cost of theta (p,); of one that fails from the first starts, that from these."""
+    def cost(theta: Array) -> float:
         costs: list[float] = []
-        for start, seed in self._scenarios:
-            if len(costs) == SCREENING and min(costs) > self._study.cost.max_cost:
+        for start, seed in scenarios:
+            if len(costs) == SCREENING and min(costs) > study.cost.max_cost:
                 break
-            rng = np.random.default_rng(seed)
-            rollout = self._hardware.run(self._study.policy, theta, start, rng)
-            costs.append(self._study.cost.of(rollout))
+            rollout = checked.run(study.policy, theta, start, np.random.default_rng(seed))
+            costs.append(study.cost.of(rollout))
         return float(np.mean(costs))
+
+    return cost

@@ -23,10 +23,8 @@ from simbias.core.records import Array, Iteration, Optimum, Rollout
 from simbias.lab.checked_hardware import MakeExperiment, place_of
 from simbias.lab.checks import check_rollout
 from simbias.trial.disk import (
-    LOCK,
     PART,
     append_line,
-    locked,
     read_json,
     require_file,
     room_for,
@@ -40,13 +38,11 @@ from simbias.trial.folder import (
     EPISODES,
     EXPERIMENT,
     ITERATION,
-    LOCK_SECONDS,
     OUTCOME,
     SEARCH,
     TRIAL,
     TrialFolder,
     number,
-    running,
 )
 from simbias.trial.origin import description, tell_what_is_in_clear
 from simbias.trial.replay import EndOfRecord, Record
@@ -63,21 +59,13 @@ Loaded = TypeVar("Loaded")
 
 
 class FolderRecord(Record):
-    """The steps of a trial in its folder: replayed as far as they go, then appended, or at an end if read.
+    """The steps of a trial in its folder: replayed as far as they go, then appended if it is opened."""
 
-    Raises
-    ------
-    ConfigError
-        If the folder cannot be written, holds steps or an outcome without a readable trial.json, or another
-        process runs this trial.
-    """
-
-    def __init__(self, path: Path, study: Study, *, writes: bool = True) -> None:
+    def __init__(self, path: Path, study: Study) -> None:
         self.folder = TrialFolder(path)
         self._study = study
-        self._writes = writes
+        self._writes = False  # but in a folder that is opened, of a trial that has not ended
         self._kept: list[Path] = []  # all steps: those that were there, and those made since
-        self._iterations: list[Iteration] = []
         self._episodes = 0  # that were replayed
         self.testing = False  # the last policy, whose episodes are no experiments of the method's
 
@@ -88,10 +76,16 @@ class FolderRecord(Record):
 
     @contextmanager
     def opened(self) -> Iterator[None]:
-        """Hold the folder for this process, unless the trial is only read, or has ended."""
-        lock = locked(self.folder.path / LOCK, LOCK_SECONDS, running(self.folder.path))
-        with lock if self._writes and not self.folder.ended else nullcontext():
-            self._writes = self._writes and not self.folder.ended  # meanwhile, by another process
+        """Hold the folder for this process, and write into it, unless the trial has ended.
+
+        Raises
+        ------
+        ConfigError
+            If the folder cannot be written, holds steps or an outcome without a readable trial.json, or
+            another process runs this trial.
+        """
+        with nullcontext() if self.folder.ended else self.folder.held():
+            self._writes = not self.folder.ended  # meanwhile, by another process
             if self._writes:
                 self._begin()
             yield
@@ -176,9 +170,8 @@ class FolderRecord(Record):
                     count += file.name in withdrawn
         return latest, count
 
-    def iteration(self, iteration: Iteration) -> Iteration:
-        """The iteration that has ended; if it did before, with the seconds that it took then."""
-        earlier = tuple(self._iterations)
+    def iteration(self, iteration: Iteration, earlier: Sequence[Iteration]) -> Iteration:
+        """The iteration that has ended after others; if it did before, with the seconds that it took then."""
         path = self._replayed(ITERATION)
         if path is None:
             summary = {**iteration_summary(self._study, iteration, earlier), "ended": time.time()}
@@ -189,7 +182,6 @@ class FolderRecord(Record):
             if kept != [iteration.index, iteration.total_experiments, iteration.succeeded]:
                 raise changed(path)
             iteration = replace(iteration, seconds=seconds)
-        self._iterations.append(iteration)
         return iteration
 
     def refuse(self, returned: Any, theta: Array, start: Array, why: str) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from simbias.core import Optimizer
 from simbias.core.evaluations import Evaluations
-from simbias.core.records import Array, Iteration, Optimum
+from simbias.core.records import Array, Optimum
 from simbias.lab.checked_hardware import ExperimentRecord
 
 
@@ -23,10 +23,6 @@ class Record(ExperimentRecord):
     @abstractmethod
     def search(self, make: Callable[[], Optimum]) -> Optimum:
         """The next search: replayed, or made and kept."""
-
-    def iteration(self, iteration: Iteration) -> Iteration:
-        """The iteration that has ended, its seconds as they were when it ended first."""
-        return iteration
 
 
 class ReplayedOptimizer(Optimizer):

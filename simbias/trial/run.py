@@ -95,7 +95,7 @@ def run_trial(study: Study, folder: Path | None = None, observer: Observer | Non
     """
     study.method.check(study)
     kept = None if folder is None else FolderRecord(folder, study)
-    run, record = _Run(study, kept, observer or Observer()), None
+    run = _Run(study, kept, observer or Observer())
     with threadpool_limits(1, user_api="blas"), kept.opened() if kept else nullcontext():
         try:
             run.run()
@@ -128,7 +128,7 @@ def read_trial(study: Study, folder: Path) -> TrialRecord:
     ConfigError
         If a step cannot be read, or does not fit the study.
     """
-    kept = FolderRecord(folder, study, writes=False)
+    kept = FolderRecord(folder, study)
     run = _Run(study, kept, Observer())
     with threadpool_limits(1, user_api="blas"), suppress(EndOfRecord):
         try:
@@ -159,7 +159,9 @@ class _Run(Observer):
         """Run the method, then the test of its last policy."""
         study = self._study if self._kept is None else self._study.over(self._kept)
         for iteration in study.run(self._observers):
-            self._observers.iterated(iteration if self._kept is None else self._kept.iteration(iteration))
+            if self._kept is not None:
+                iteration = self._kept.iteration(iteration, self._iterations)
+            self._observers.iterated(iteration)
         if self._iterations:
             last, trying = self._iterations[-1], self._observers.trying
             designed, theta = study.designed_on(last.model), last.parameters

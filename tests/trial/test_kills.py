@@ -87,10 +87,10 @@ def test_two_processes_do_not_make_the_same_trial(
     study, trial = simbias.load(SHORT, conf), folder / "trial"
     process = start(trial, SHORT, conf)
     until_begun(process, folder, 1)
-    monkeypatch.setattr("simbias.trial.record.LOCK_SECONDS", 0.1)
+    monkeypatch.setattr("simbias.trial.folder.LOCK_SECONDS", 0.1)
     with pytest.raises(ConfigError, match="another process is running this trial"):
         run_trial(study, trial)
-    monkeypatch.setattr("simbias.trial.record.LOCK_SECONDS", 60.0)
+    monkeypatch.setattr("simbias.trial.folder.LOCK_SECONDS", 60.0)
     record = run_trial(study, trial)
     process.join(120)
     assert process.exitcode == 0

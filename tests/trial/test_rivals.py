@@ -20,7 +20,7 @@ from simbias.learning.bias.gp import GaussianProcess
 from simbias.search.evaluation.robust import Robust
 from simbias.testing.conformance import verdicts
 from simbias.trial.folder import OUTCOME, TrialFolder
-from simbias.trial.hardware_cost import CostOnHardware
+from simbias.trial.hardware_cost import cost_on_hardware
 from simbias.trial.method import Method
 from simbias.trial.methods.cost_residual import CostResidual
 from simbias.trial.methods.direct_search import PROPOSALS, DirectSearch
@@ -86,7 +86,7 @@ def test_a_search_on_hardware_moves_no_robot_unasked(point_mass: Study) -> None:
     behind.hardware.simulates = False  # as of an environment of one's own
     asked = replace(behind, conditions=refusing)
     with pytest.raises(Waiting):
-        CostOnHardware(asked, asked.hardware, np.random.default_rng(0), 1)(np.zeros(6))
+        cost_on_hardware(asked, asked.hardware, np.random.default_rng(0), 1)(np.zeros(6))
     for method in (ideal.method, middle):
         study = replace(own, method=method, optimizer=few)
         with pytest.raises(ConfigError, match=r"^method: searches on hardware, which study.ask\(\)"):
@@ -95,7 +95,7 @@ def test_a_search_on_hardware_moves_no_robot_unasked(point_mass: Study) -> None:
         assert not log
     limited = ExperimentConditions(safety=Safety(states={"position": 0.1}))
     held = replace(point_mass, conditions=limited)
-    cost = CostOnHardware(held, held.hardware, np.random.default_rng(0), 1)
+    cost = cost_on_hardware(held, held.hardware, np.random.default_rng(0), 1)
     assert cost(np.zeros(3)) > point_mass.cost.max_cost + 9  # it fails where it starts
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from simbias.core.ranges import Count
 from simbias.core.records import Iteration, Search
 from simbias.search.lqr import lqr_policies
-from simbias.trial.hardware_cost import CostOnHardware, check_simulator
+from simbias.trial.hardware_cost import check_simulator, cost_on_hardware
 from simbias.trial.method import Method
 from simbias.trial.observer import Observer
 from simbias.trial.steps import Stopwatch, experiment, iteration_record
@@ -45,7 +45,7 @@ class Ideal(Method):
         scenario_rng, search_rng, hardware_rng = rng.spawn(3)
         clock, model = Stopwatch(), study.first_model()
         with clock("search"):
-            cost = CostOnHardware(study, study.hardware_of(study.task), scenario_rng, self.rollouts)
+            cost = cost_on_hardware(study, study.hardware_of(study.task), scenario_rng, self.rollouts)
             box, candidates = study.policy.bounds, lqr_policies(model)
             optimum = study.optimizer.minimize(cost, *box, search_rng, study.cost.max_cost, candidates)
         found, theta = Search(optimum, optimum.cost), optimum.parameters

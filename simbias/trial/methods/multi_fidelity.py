@@ -11,7 +11,7 @@ import numpy as np
 from simbias.core import Hardware
 from simbias.core.ranges import Count
 from simbias.core.records import Iteration, Learning, Rollout, Search
-from simbias.trial.hardware_cost import CostOnHardware, check_simulator
+from simbias.trial.hardware_cost import check_simulator, cost_on_hardware
 from simbias.trial.method import Method
 from simbias.trial.observer import Observer
 from simbias.trial.steps import Stopwatch, experiment, iteration_record, learn, search
@@ -71,7 +71,7 @@ class MultiFidelity(Method):
                 theta, simulation = found.optimum.parameters, model
                 if middle is not None:
                     scenario_rng, own_rng = middle_rng.spawn(2)
-                    cost = CostOnHardware(study, middle, scenario_rng, self.rollouts)
+                    cost = cost_on_hardware(study, middle, scenario_rng, self.rollouts)
                     box, target = study.policy.bounds, study.cost.max_cost
                     optimum = study.optimizer.minimize(cost, *box, own_rng, target, [theta])
                     found, theta = Search(optimum, optimum.cost), optimum.parameters
