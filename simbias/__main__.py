@@ -171,12 +171,12 @@ def _run(parsed: argparse.Namespace) -> int:
     variations = Variations(parsed.overrides, parsed.config_dir, parsed.allow)
     composition = variations.composition({})
     if "sweep" in composition.config:
-        from simbias.terminal import run_sweep
+        from simbias.terminal import sweep
 
-        return run_sweep.run(variations, composition, _command(parsed))
-    from simbias.terminal import run
+        return sweep.run(variations, composition, _command(parsed))
+    from simbias.terminal import trial
 
-    return run.run(composition, _command(parsed))
+    return trial.run(composition, _command(parsed))
 
 
 def _show_config(parsed: argparse.Namespace) -> int:
