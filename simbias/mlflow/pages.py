@@ -22,14 +22,10 @@ def run_page(experiment_id: str, run_id: str, file: str = "") -> str:
     return f"#/experiments/{experiment_id}/runs/{run_id}{artifact}?{MODE}"
 
 
-def list_page(experiment_id: str) -> str:
-    """Address of the list of all runs, within the UI."""
-    return f"#/experiments/{experiment_id}/runs?{MODE}"
-
-
-def trials_page(experiment_id: str, sweep: str) -> str:
-    """Address of the trials of the sweep of this hash, listed as by `trials_view`, within the UI."""
-    return f"#/experiments/{experiment_id}/runs?{MODE}&viewStateShareKey={sweep}"
+def list_page(experiment_id: str, sweep: str = "") -> str:
+    """Address, within the UI, of all runs, or of the trials of a sweep's hash as `trials_view` lists them."""
+    view = f"&viewStateShareKey={sweep}" if sweep else ""
+    return f"#/experiments/{experiment_id}/runs?{MODE}{view}"
 
 
 def trials_view(sweep: Mapping[str, Any], parent: str) -> tuple[str, str]:

@@ -16,9 +16,8 @@ from simbias.core.digest import short_digest
 from simbias.mlflow import pages
 from simbias.mlflow.notes import with_table
 from simbias.mlflow.pages import NOTE, RUN_NAME
-from simbias.mlflow.runs import RunExport, Runs, readable
+from simbias.mlflow.runs import Point, RunExport, Runs, readable
 from simbias.mlflow.trial import Nested, TrialExport, as_yaml, began_at, origin_tags
-from simbias.mlflow.writes import Point
 from simbias.sweep.folder import FIGURES, SweepFolder
 from simbias.sweep.state import DONE, INTERRUPTED, RUNNING, WAITS
 from simbias.trial.disk import LOCK, is_locked, require_file
@@ -128,11 +127,11 @@ class SweepRun(RunExport):
     def _note(self, state: dict[str, Any]) -> str:
         """The parent's description: how far it is, figures, how to resume, the table as far as it fits."""
         about = self._description
-        link = pages.trials_page(self.runs.experiment_id, about["hash"])
-        captions = [
-            f"[{name}]({self._picture(name)}): {markdown.text(caption)}"
-            for name, caption in state.get("captions", {}).items()
-        ]
+        link = pages.list_page(self.runs.experiment_id, about["hash"])
+        captions = []
+        for name, caption in state.get("captions", {}).items():
+            page = pages.run_page(self.runs.experiment_id, self.run_id, f"{FIGURES}/{name}.png")
+            captions.append(f"[{name}]({page}): {markdown.text(caption)}")
         mixed = state.get("platforms")
         parts = [
             f"{state.get('verdict')}: {state.get('done', 0)} of {len(about['trials'])} [trials]({link}).",
@@ -142,10 +141,6 @@ class SweepRun(RunExport):
             markdown.code(about["command"]),
         ]
         return with_table("\n\n".join(parts), state.get("table", ""))
-
-    def _picture(self, name: str) -> str:
-        """Address of a figure in MLflow's UI."""
-        return pages.run_page(self.runs.experiment_id, self.run_id, f"{FIGURES}/{name}.png")
 
 
 def _place(about: dict[str, Any]) -> dict[str, str]:

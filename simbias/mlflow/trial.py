@@ -13,8 +13,7 @@ import yaml
 from simbias.core.records import Iteration
 from simbias.mlflow import notes
 from simbias.mlflow.pages import NOTE, PARENT, run_page
-from simbias.mlflow.runs import RunExport, Runs
-from simbias.mlflow.writes import Point
+from simbias.mlflow.runs import Point, RunExport, Runs
 from simbias.trial.disk import LOCK, is_locked
 from simbias.trial.folder import PICTURES, TrialFolder
 from simbias.trial.summary import Outcome, TrialSummary
