@@ -101,9 +101,10 @@ class Variations:
         config_dir: Path | str | None = None,
         allow: Sequence[str] = (),
     ) -> None:
-        if config_dir is not None and not os.path.isdir(config_dir):
-            raise ConfigError("--config-dir", f"no such folder: {config_dir}")
-        check_no_primary(config_dir)
+        if config_dir is not None:
+            if not os.path.isdir(config_dir):
+                raise ConfigError("--config-dir", f"no such folder: {config_dir}")
+            check_no_primary(Path(config_dir))
         # A dry run needs no + where a sweep's file leaves the key out.
         self.overrides = [re.sub(r"^\+{0,2}(?=sweep\.dry_run=)", "++", each) for each in overrides]
         self._config_dir = None if config_dir is None else str(Path(config_dir).resolve())
@@ -209,13 +210,12 @@ class Variations:
         """
         from hydra.core.override_parser.types import OverrideType
 
-        folders = [resource_folder("conf"), *self._folders]
         structure: list[str] = []
         values: dict[str, Any] = {}
         for text, each in zip(overrides, parsed(overrides), strict=True):
             key = each.key_or_group
             changes = each.type is OverrideType.CHANGE and not each.is_sweep_override() and not each.package
-            if "/" in key or any((folder / key).is_dir() for folder in folders) or key == "sweep":
+            if "/" in key or any((folder / key).is_dir() for folder in self._read) or key == "sweep":
                 structure.append(text)
             elif changes and not key.startswith("hydra."):
                 values[key] = each.value()

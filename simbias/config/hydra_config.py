@@ -40,7 +40,8 @@ def composed(overrides: Sequence[str], config_dir: str | None, grid: bool, files
     option_files.register()
     OmegaConf.register_new_resolver("noise_of_hardware", _noise_of_hardware, replace=True)
     if config_dir is not None:
-        overrides = [*overrides, f"hydra.searchpath=[{_quoted(f'{option_files.SCHEME}://{config_dir}')}]"]
+        escaped = config_dir.replace("'", "\\'")
+        overrides = [*overrides, f"hydra.searchpath=['{option_files.SCHEME}://{escaped}']"]
     given = parsed(overrides)
     values = {each.key_or_group: each.value() for each in given}  # the last of each
     try:
@@ -122,12 +123,6 @@ def _opened(given: Sequence[Override]) -> list[str]:
 def _is_whole(key: str, value: Any) -> bool:
     """Whether a mapping is set, as by `hardware.noise={force_variance: 0.1}`: components know its keys."""
     return isinstance(value, Mapping) and "." in key and not key.startswith("sweep.")
-
-
-def _quoted(text: str) -> str:
-    """Text quoted as a value of an override, whichever characters it has."""
-    escaped = text.replace("'", "\\'")
-    return f"'{escaped}'"
 
 
 def parsed(overrides: Sequence[str]) -> list[Override]:

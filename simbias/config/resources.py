@@ -58,7 +58,7 @@ def _sweep_folders(config_dir: Path | str | None) -> Iterator[Path]:
 
 
 def register_sweep(
-    name: str, config_dir: Path | str | None, grid: bool = True, known: frozenset[str] = frozenset()
+    name: str, config_dir: Path | str | None, grid: bool, known: frozenset[str] = frozenset()
 ) -> None:
     """Make a file of `sweeps`, and those that its defaults list names, options of Hydra's group `sweep`.
 
@@ -161,7 +161,7 @@ def check_ends(file: Path) -> None:
         raise ConfigError(str(file), f"its aliases stand for {values:.0e} values; write out what is needed")
 
 
-def check_no_primary(config_dir: Path | str | None) -> None:
+def check_no_primary(config_dir: Path) -> None:
     """Refuse a folder whose `config.yaml` would be passed over in silence.
 
     Raises
@@ -169,10 +169,8 @@ def check_no_primary(config_dir: Path | str | None) -> None:
     ConfigError
         Naming the file, and what takes its place.
     """
-    if config_dir is None or Path(config_dir).resolve() == resource_folder("conf").resolve():
-        return
-    primary = Path(config_dir) / PRIMARY
-    if primary.exists():
+    primary = config_dir / PRIMARY
+    if primary.exists() and config_dir.resolve() != resource_folder("conf").resolve():
         raise ConfigError(
             str(primary), "is not read; what it chooses belongs in preset/NAME.yaml, chosen by preset=NAME"
         )
