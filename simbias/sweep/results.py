@@ -47,10 +47,10 @@ def of_folders(
     A folder that cannot be read counts as none; `damaged` is called with the error that names it.
     """
     rows = {}
-    for trial in sweep.trials:
-        folder = TrialFolder((trials or Path()) / trial.hash)
+    for trial in sweep.trials if trials else ():
+        folder = TrialFolder(Path(trials or "", trial.hash))
         try:
-            summary = folder.summary() if trials else None
+            summary = folder.summary()
             if summary is not None and summary.outcome in SHOWN and folder.description():
                 rows[trial.hash] = row(trial, sweep, summary)
         except ConfigError as error:

@@ -58,13 +58,9 @@ def _measures(trials: Sequence[Mapping[str, Any]], bar: float) -> list[float]:
     """The measures of a cell but the last."""
     outcomes = [trial["outcome"] for trial in trials]
     ended = [trial for trial in trials if trial["outcome"] != "error"]
-    experiments, iterations = (
-        [float(trial[name]) for trial in ended] for name in ("experiments", "iterations")
-    )
     counts = (len(ended), outcomes.count("succeeded"), outcomes.count("error"))
-    seconds, long = (
-        [float(trial[name]) for trial in ended] for name in ("hardware_seconds", "long_success_rate")
-    )
+    names = ("experiments", "iterations", "hardware_seconds", "long_success_rate")
+    experiments, iterations, seconds, long = ([float(trial[name]) for trial in ended] for name in names)
     tested = [trial for trial in ended if trial["test_episodes"]]
     rates = [success_rate(trial["test_episodes"]) for trial in tested]
     reliable = [float(rate >= RELIABLE) for rate in rates]
@@ -121,12 +117,8 @@ def arrange(
 
 def heads(axis: Axis) -> list[str]:
     """Heads of an axis' columns: its name, or its keys without their groups, in words."""
-    return [*map(in_words, axis.keys if len(axis.texts[0]) > 1 else [axis.name])]
-
-
-def in_words(key: str) -> str:
-    """A key without its group, as it is read."""
-    return key.split(".")[-1].replace("_", " ")
+    keys = axis.keys if len(axis.texts[0]) > 1 else [axis.name]
+    return [key.split(".")[-1].replace("_", " ") for key in keys]
 
 
 def column_head(axis: Axis, label: str) -> str:

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 TALLEST = 2.0  # height of a drawing's view, in widths
+MARGIN = 0.03  # of its size, on each side
 
 
 class NoPictureError(LookupError):
@@ -75,7 +76,7 @@ def _function(task: Task, name: str) -> Any:
     return getattr(found, name, None) if draws is None or draws(task) else None
 
 
-def share_view(all_axes: Sequence[Axes], margin: float = 0.03) -> None:
+def share_view(all_axes: Sequence[Axes]) -> None:
     """Give axes of one shape, some of them empty, the view of one scale that holds all their drawings.
 
     It is at most twice as high as wide, so that a tall robot makes no picture that no screen shows.
@@ -83,7 +84,7 @@ def share_view(all_axes: Sequence[Axes], margin: float = 0.03) -> None:
     if all_axes:
         corners = np.concatenate([axes.dataLim.get_points() for axes in all_axes if axes.has_data()])
         low, high = corners.min(axis=0), corners.max(axis=0)
-        low, high = low - margin * (high - low), high + margin * (high - low)
+        low, high = low - MARGIN * (high - low), high + MARGIN * (high - low)
         wider = max(0.0, (high[1] - low[1]) / TALLEST - (high[0] - low[0])) / 2
         low[0], high[0] = low[0] - wider, high[0] + wider
         for axes in all_axes:

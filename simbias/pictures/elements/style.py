@@ -31,6 +31,7 @@ GREEK = ("alpha", "beta", "gamma", "delta", "theta", "phi", "psi", "omega")
 LIMIT, BEYOND = "0.35", "0.92"  # greys
 SMALL = 8.5  # points
 TICKS = {4.0: (1, 1.5, 2, 3, 4, 5, 7), 20.0: (1, 2, 5), 200.0: (1, 3)}  # by largest over smallest value
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 FAR = 3  # decades from 1, beyond which an axis' numbers are told with their powers of ten
 LINE_OF_TEXT = 0.13  # of the height of axes, at most
 
@@ -135,7 +136,8 @@ def with_power(value: float) -> str:
     """A positive number with its power of ten."""
     exponent = math.floor(math.log10(value) + 1e-9)
     digits = f"{value / 10.0**exponent:g}"
-    return f"{'' if digits == '1' else f'{digits}·'}10{superscript(exponent)}"
+    power = str(exponent).translate(SUPERSCRIPTS)  # quicker to set than mathematics
+    return f"{'' if digits == '1' else f'{digits}·'}10{power}"
 
 
 def whole_numbers(*all_axis: Axis) -> None:
@@ -150,11 +152,6 @@ def logarithmic_if_wide(values: Sequence[float], *all_axis: Axis) -> None:
     """Scale axes logarithmically if the values are positive and range over more than a decade."""
     if 0 < 10 * min(values) < max(values):
         logarithmic(*all_axis)
-
-
-def superscript(exponent: int) -> str:
-    """An exponent in characters that are quicker to set than mathematics."""
-    return str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
 def plain(axes: Axes, grid: Literal["x", "y", "both"] | None = None) -> None:

@@ -8,7 +8,6 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from simbias.core import Model
 from simbias.core.messages import counted
 from simbias.core.records import Iteration, Rollout
 from simbias.pictures.elements.drawing import NoPictureError
@@ -53,7 +52,9 @@ def in_simulation(
         return None
     own = study.designed_on(model)
     rollout = own.simulate(experiment.parameters, model.bias, experiment.states[0], model.nominal)
-    name = simulation_words(study, model, has_samples(iterations, iteration))
+    corrected = has_samples(iterations, iteration) and study.choices["bias"] != "none"
+    bias = f" + learned bias ({study.choices['bias']})" if corrected else ""
+    name = f"simulation: {'identified' if model.nominal.estimates else 'nominal'} model{bias}"
     return NamedRollout(name, rollout, SIMULATION, "--")
 
 
@@ -112,13 +113,6 @@ def policy_words(iteration: Iteration) -> str:
         known = bool(iteration.model.nominal.estimates)
         return "Policy from the identified model alone" if known else "Policy from simulation alone"
     return f"Policy after {counted(before, 'hardware experiment')}"
-
-
-def simulation_words(study: Study, model: Model, learned: bool) -> str:
-    """A simulation, and whether its bias was learned."""
-    corrected = learned and study.choices["bias"] != "none"
-    bias = f" + learned bias ({study.choices['bias']})" if corrected else ""
-    return f"simulation: {'identified' if model.nominal.estimates else 'nominal'} model{bias}"
 
 
 def hardware_words(study: Study) -> str:

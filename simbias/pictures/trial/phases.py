@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -107,14 +108,13 @@ def _share_view(all_axes: Sequence[Axes], bounds: Array) -> None:
     low = np.where(low < -NEAR * bounds, np.minimum(low, -bounds), low) - margin
     high = np.where(high > NEAR * bounds, np.maximum(high, bounds), high) + margin
     for axes in all_axes:
+        shades: Any = axes.axvspan, axes.axhspan
         ticks = MaxNLocator(5).tick_values(low[0], high[0])
         axes.locator_params("x", nbins=5 if max(len(f"{tick:.6g}") for tick in ticks) < LONG else 3)
-        for edges in ((low[0], -bounds[0]), (bounds[0], high[0])):
-            if edges[0] < edges[1]:
-                axes.axvspan(*edges, color=BEYOND, linewidth=0.0, zorder=0)
-        for edges in ((low[1], -bounds[1]), (bounds[1], high[1])):
-            if edges[0] < edges[1]:
-                axes.axhspan(*edges, color=BEYOND, linewidth=0.0, zorder=0)
+        for shade, least, most, bound in zip(shades, low, high, bounds, strict=True):
+            for edges in ((least, -bound), (bound, most)):
+                if edges[0] < edges[1]:
+                    shade(*edges, color=BEYOND, linewidth=0.0, zorder=0)
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
 
 
