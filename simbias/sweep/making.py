@@ -21,12 +21,24 @@ from simbias.sweep.figure import FigureError
 from simbias.sweep.tables import left_out
 
 if TYPE_CHECKING:
-    from simbias.sweep.grid import Sweep
+    from pandas import DataFrame
+
+    from simbias.sweep.grid import Sweep, Trial
     from simbias.sweep.state import SweepState
+    from simbias.sweep.worker import Result
 
 
-class FigureObserver:
-    """Follows the making of a sweep's figures; this one does nothing."""
+class SweepObserver:
+    """Follows a sweep; this one does nothing."""
+
+    def begun(self, sweep: Sweep, finished: DataFrame, folder: Path | None) -> None:
+        """The trials begin, but for those that are finished; they are kept in the folder, if there is one."""
+
+    def ended(self, trial: Trial, result: Result) -> None:
+        """A trial has ended or stopped, and is kept."""
+
+    def all_ended(self) -> None:
+        """No trial runs any more, for any reason."""
 
     @contextmanager
     def working(self, words: str, total: int, done: int) -> Iterator[Callable[[], None]]:
@@ -41,18 +53,10 @@ def make_figures(
     sweep: Sweep,
     engine: Engine,
     state: SweepState,
-    observer: FigureObserver,
+    observer: SweepObserver,
     interruption: Interruption,
 ) -> None:
-    """Make every figure that the sweep declares.
-
-    Raises
-    ------
-    FigureError
-        If one cannot be drawn from what there is.
-    KeyboardInterrupt
-        On SIGINT or SIGTERM; what has ended is kept.
-    """
+    """Make every figure that the sweep declares; errors as of `run_sweep`."""
     for name, figure in sweep.figures.items():
         with _errors_of(name):
             trials = state.swept()
@@ -83,7 +87,7 @@ def _outcomes(
     batches: Sequence[Batch],
     engine: Engine,
     state: SweepState,
-    observer: FigureObserver,
+    observer: SweepObserver,
     interruption: Interruption,
 ) -> list[Outcomes]:
     """The outcomes of all batches; those that are kept are not run again."""

@@ -17,7 +17,7 @@ from simbias.core.interruption import Interruption
 from simbias.engine.contract import Engine, WorkerLostError
 from simbias.engine.workplace import tidy
 from simbias.sweep.grid import Sweep, Trial, expanded
-from simbias.sweep.making import FigureObserver, make_figures
+from simbias.sweep.making import SweepObserver, make_figures
 from simbias.sweep.state import SweepState, finished
 from simbias.sweep.tracking import Tracking
 from simbias.sweep.worker import Result, lost, run_plan
@@ -27,19 +27,6 @@ from simbias.trial.folder import TrialFolder
 from simbias.trial.origin import changed_code
 from simbias.trial.policy_test import NO_TEST
 from simbias.trial.study import Study
-
-
-class SweepObserver(FigureObserver):
-    """Follows a sweep; this one does nothing."""
-
-    def begun(self, sweep: Sweep, finished: DataFrame, folder: Path | None) -> None:
-        """The trials begin, but for those that are finished; they are kept in the folder, if there is one."""
-
-    def ended(self, trial: Trial, result: Result) -> None:
-        """A trial has ended or stopped, and is kept."""
-
-    def all_ended(self) -> None:
-        """No trial runs any more, for any reason."""
 
 
 def run(

@@ -22,7 +22,7 @@ from simbias.sweep.figure import FigureError, Picture, SweepFigure, SweptTrials
 from simbias.sweep.figures.success_rates import Range, SuccessRates
 from simbias.sweep.folder import SweepFolder
 from simbias.sweep.grid import expand
-from simbias.sweep.making import FigureObserver, make_figures
+from simbias.sweep.making import SweepObserver, make_figures
 from simbias.trial.study import Study
 
 FALLING = np.array([8.118, 4.731, -6.740, -1.024, -4.0])
@@ -71,7 +71,7 @@ def brief() -> Study:
 def make(figure: SweepFigure, store: Store, folder: Path) -> None:
     sweep = SimpleNamespace(figures={"tries": figure}, figures_to=str(folder))
     with Interruption() as interruption:
-        make_figures(sweep, Sequential(), store, FigureObserver(), interruption)
+        make_figures(sweep, Sequential(), store, SweepObserver(), interruption)
 
 
 def test_errors_name_the_figure(brief: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
