@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal, NotRequired, Required
 from pydantic import Field
 
 from simbias.config import Composition, ConfigError, Variations
-from simbias.config.allowed import Own
+from simbias.config.allowed import Own, leaves
 from simbias.config.build import build_task
 from simbias.config.components import construct, validate
 from simbias.config.composition import NOT_HASHED
@@ -283,7 +283,7 @@ def _report(spec: Mapping[str, Any], axes: Sequence[Axis]) -> Report:
     names = [axis.name for axis in axes]
     if columns is not None and columns not in names:
         raise ConfigError("sweep.report.columns", f"no such axis: {columns}; there are {', '.join(names)}")
-    paper = dict(_flat(checked.get("paper", {}), ()))
+    paper = {tuple(map(label, path)): value for path, value in leaves(checked.get("paper", {}))}
     for labels, value in paper.items():
         if len(labels) != len(axes) or not isinstance(value, int | float):
             raise ConfigError(
@@ -299,12 +299,3 @@ def _figures(specs: Mapping[str, Any], cells: Sequence[Cell], own: Own) -> Itera
     task = build_task(first.config["task"], first.own)
     for name, spec in specs.items():
         yield name, construct(spec, SweepFigure, f"sweep.figures.{name}", own, task=task, cells=cells)
-
-
-def _flat(tree: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """The leaves of nested mappings, by their paths of labels."""
-    if not isinstance(tree, Mapping):
-        yield path, tree
-        return
-    for key, branch in tree.items():
-        yield from _flat(branch, (*path, label(key)))
