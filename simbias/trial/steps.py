@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from simbias.core import Model, Objective
+from simbias.core import Model
 from simbias.core.objective import Mapped
 from simbias.core.records import Array, Iteration, Learning, Optimum, Rollout, Search, Transitions
 from simbias.policy.trajectory import Trajectory
@@ -87,14 +87,6 @@ def _search(
     """The optimum of one search, and its predicted cost Z_g."""
     scenario_rng, optimizer_rng = rng.spawn(2)
     objective = study.evaluation.objective(model, study.cost, scenario_rng)
-    lower, upper = study.policy.bounds
-    watched = _watched(objective, observer)
-    optimum = study.optimizer.minimize(watched, lower, upper, optimizer_rng, target_cost, candidates)
-    return optimum, objective(optimum.parameters)
-
-
-def _watched(objective: Objective, observer: Observer) -> Objective:
-    """The objective, which reports its evaluations to an observer."""
     evaluations, best = 0, np.inf
 
     def report(thetas: Array, costs: Array) -> Array:
@@ -103,7 +95,9 @@ def _watched(objective: Objective, observer: Observer) -> Objective:
         observer.searching(evaluations, best)
         return costs
 
-    return Mapped(objective, report)
+    watched, box = Mapped(objective, report), study.policy.bounds
+    optimum = study.optimizer.minimize(watched, *box, optimizer_rng, target_cost, candidates)
+    return optimum, objective(optimum.parameters)
 
 
 def experiment(
