@@ -33,13 +33,7 @@ NOTHING = Own()
 
 
 def check_allowed(module: str, key: str, allowed: Sequence[str]) -> None:
-    """Refuse a module that is neither simbias's nor has an allowed prefix; it is not imported.
-
-    Raises
-    ------
-    ConfigError
-        Naming `key`, and how to allow it.
-    """
+    """Refuse a module that is neither simbias's nor has an allowed prefix, by a ConfigError on the key."""
     if not any(module == prefix or module.startswith(f"{prefix}.") for prefix in (OWN, *allowed)):
         top = module.partition(".")[0]
         raise ConfigError(
@@ -52,10 +46,7 @@ def check_allowed(module: str, key: str, allowed: Sequence[str]) -> None:
 def prefixes(folders: Sequence[Path], allow: Sequence[str]) -> tuple[str, ...]:
     """The prefixes that the user allows, and those that the folders' `components.yaml` do.
 
-    Raises
-    ------
-    ConfigError
-        If one is no name of a module, or a file is not as it should be.
+    A ConfigError names what is no module's name, or a file that is not as it should be.
     """
     found = [_module(name, "--allow") for name in allow]
     for folder in folders:

@@ -94,13 +94,7 @@ def _check_known(study: Study, known: Any) -> None:
 
 
 def build_task(config: Any, own: Own) -> Task:
-    """A task from its config.
-
-    Raises
-    ------
-    ConfigError
-        As of `construct`, and if an attribute has another type or shape than tasks have.
-    """
+    """A task from its config; errors as of `construct`, also of an attribute of another type or shape."""
     task: Task = construct(config, Task, "task", own)
     try:
         _convert(task)
@@ -113,12 +107,7 @@ def build_task(config: Any, own: Own) -> Task:
 def _convert(task: Task) -> None:
     """Make a task's sequences tuples and arrays of floats: authors write lists and integers, too.
 
-    What cannot be set, as a property, stays a list or integers.
-
-    Raises
-    ------
-    ValueError
-        Naming the attribute that is neither.
+    What cannot be set, as a property, stays a list or integers. A ValueError names what is neither.
     """
 
     def keep(name: str, expected: str, convert: Callable[[Any], Any]) -> None:

@@ -53,13 +53,7 @@ def construct(config: Any, contract: type, key: str, own: Own = NOTHING, **provi
 
 
 def component_class(config: Any, key: str, allowed: Sequence[str] = ()) -> Any:
-    """The class that `_target_` names, in a module that may be imported.
-
-    Raises
-    ------
-    ConfigError
-        If its module may not be imported, or there is no such class.
-    """
+    """The class that `_target_` names; a ConfigError if there is none, or its module may not be imported."""
     if not isinstance(config, Mapping) or TARGET not in config:
         raise ConfigError(key, f"must be a mapping with a {TARGET}, got {quote(config)}")
     target = config[TARGET]
@@ -90,12 +84,8 @@ def constructor_arguments(
 ) -> dict[str, Any]:
     """The config's values, converted to the types that the constructor asks for.
 
-    Relative files are replaced by those of the folders of configs, where these have them.
-
-    Raises
-    ------
-    ConfigError
-        Naming `key` and the argument.
+    Relative files are replaced by those of the folders of configs, where these have them. Errors as of
+    `validate`.
     """
     given = {name: value for name, value in config.items() if name != TARGET}
     try:
@@ -134,13 +124,7 @@ def _adapter(fields: dict[str, Any]) -> TypeAdapter:
 
 
 def validate(values: Mapping[str, Any], fields: dict[str, Any], key: str) -> dict[str, Any]:
-    """The values converted to the fields' types.
-
-    Raises
-    ------
-    ConfigError
-        Naming `key` and the field.
-    """
+    """The values converted to the fields' types, or a ConfigError that names `key` and the field."""
     return _converted(values, _adapter(fields), key, fields)
 
 

@@ -32,13 +32,7 @@ def safety(config: Any) -> Safety:
 
 
 def conditions(config: Any, task: Task, timeout: float | None) -> ExperimentConditions:
-    """The conditions in a hardware's config.
-
-    Raises
-    ------
-    ConfigError
-        If a value has the wrong type or range, or names nothing of the task.
-    """
+    """The conditions in a hardware's config; errors as of `safety`, also on what the task does not have."""
     values = ExperimentConditions(timeout, **validate(split(config)[1], FIELDS, HARDWARE))
     try:
         values.safety.bounds(task.without_targets)

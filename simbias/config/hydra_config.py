@@ -83,13 +83,7 @@ def set_value(config: DictConfig, key: str, value: Any) -> None:
 
 
 def overridden(overrides: Sequence[str]) -> list[str]:
-    """The keys and groups that overrides set or delete.
-
-    Raises
-    ------
-    ConfigError
-        If one cannot be parsed.
-    """
+    """The keys and groups that overrides set or delete; a ConfigError if one cannot be parsed."""
     from hydra.errors import HydraException
 
     try:

@@ -43,12 +43,9 @@ VERSIONS = {"DirectSearch.strategy=bayesian": 1}  # of one value of an argument,
 def identity_fields(
     config: Mapping[str, Any], left_out: Sequence[str], allowed: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """A trial's config, some groups left out, in plain containers; `allowed` as of `component_class`.
+    """A trial's config, some groups left out, in plain containers.
 
-    Raises
-    ------
-    ConfigError
-        If a component cannot be found, or a value has the wrong type or range.
+    `allowed` and errors are as of `component_class` and `constructor_arguments`.
     """
     relevant = {
         key: value for key, value in config.items() if key not in left_out and value != LATER.get(key)

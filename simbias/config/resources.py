@@ -63,12 +63,8 @@ def register_sweep(
     """Make a file of `sweeps`, and those that its defaults list names, options of Hydra's group `sweep`.
 
     A search path would make the folder a group of the name `sweeps`, and each file need a package header.
-    Without the grid, their node `sweep` is left out.
-
-    Raises
-    ------
-    ConfigError
-        If there is no such file, or it cannot be read.
+    Without the grid, their node `sweep` is left out. A ConfigError names a file that is not there, or cannot
+    be read.
     """
     from hydra.core.config_store import ConfigStore
 
@@ -133,12 +129,8 @@ def _files(walk: Iterator[tuple[str, list[str], list[str]]]) -> Iterator[tuple[s
 def check_ends(file: Path) -> None:
     """Refuse a pipe or a device, and a file whose aliases of aliases stand for too many values.
 
-    OmegaConf copies what an alias stands for, and eleven lines may mean 43 million values.
-
-    Raises
-    ------
-    ConfigError
-        Naming the file. One that is no YAML is named where it is asked for.
+    OmegaConf copies what an alias stands for, and eleven lines may mean 43 million values. What is no YAML is
+    refused where it is asked for.
     """
     import yaml  # lazily: --help needs none
 
@@ -162,13 +154,7 @@ def check_ends(file: Path) -> None:
 
 
 def check_no_primary(config_dir: Path) -> None:
-    """Refuse a folder whose `config.yaml` would be passed over in silence.
-
-    Raises
-    ------
-    ConfigError
-        Naming the file, and what takes its place.
-    """
+    """Refuse a folder whose `config.yaml` would be passed over; a ConfigError says what takes its place."""
     primary = config_dir / PRIMARY
     if primary.exists() and config_dir.resolve() != resource_folder("conf").resolve():
         raise ConfigError(

@@ -20,12 +20,7 @@ def packed(compositions: Iterable[Composition]) -> bytes:
     """Folders of configs, and what lies beside them: modules, loaded packages, files that configs name.
 
     A zip file, laid out as they are: unpacked into a folder of `sys.path`, `simbias.core.files.find` and
-    imports find all of it. Empty where there is nothing to send.
-
-    Raises
-    ------
-    ConfigError
-        If that is more than 64 MiB.
+    imports find all of it. Empty where there is nothing to send; a ConfigError if it is more than 64 MiB.
     """
     files = {file: name for each in compositions for file, name in _needed(each)}
     if (size := sum(file.stat().st_size for file in files)) > MOST_BYTES:

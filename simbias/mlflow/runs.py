@@ -107,13 +107,7 @@ class Runs:
         return self._command("export", trials=(self._trials, trials_beside(self.uri)))
 
     def page(self, identity: str | None) -> str:
-        """The page of the run of this hash, or of all runs, within the UI.
-
-        Raises
-        ------
-        ConfigError
-            If no run has the hash.
-        """
+        """The page, within the UI, of the run of this hash, or of all; a ConfigError if no run has it."""
         if identity is None:
             return pages.list_page(self.experiment_id)
         found = self._search(f"tags.hash = '{identity}'") if identity.isalnum() else iter(())
@@ -202,12 +196,9 @@ class RunExport(Export):
 
     @abstractmethod
     def write(self, final: bool = False) -> None:
-        """Write what the run lacks; `final` tells that nothing more comes.
+        """Write what the run lacks, or raise a ConfigError if a file of the folder cannot be read.
 
-        Raises
-        ------
-        ConfigError
-            If a file of the folder cannot be read.
+        `final` tells that nothing more comes.
         """
 
     def update(self, final: bool = False) -> None:

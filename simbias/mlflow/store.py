@@ -49,10 +49,7 @@ MAKING_SECONDS = 120.0  # that a process waits for another one that makes the sa
 def connect(uri: str, experiment: str) -> tuple[MlflowClient, str]:
     """A client of the store and the experiment's id; the experiment, and a SQLite store, are made if need be.
 
-    Raises
-    ------
-    ConfigError
-        Within seconds, if the store cannot be used.
+    If the store cannot be used, a ConfigError comes within seconds.
     """
     with reaching(uri):
         artifacts = _probe_database(uri)
@@ -166,13 +163,7 @@ def _make(path: Path) -> None:
 
 
 def database(uri: str) -> Path | None:
-    """The file of a SQLite store, links resolved; None of other stores.
-
-    Raises
-    ------
-    ConfigError
-        If the address names no file.
-    """
+    """The file of a SQLite store, links resolved; a ConfigError if its address names none. None of others."""
     if not uri.startswith("sqlite"):
         return None
     match = SQLITE.fullmatch(uri)

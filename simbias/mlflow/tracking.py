@@ -70,10 +70,7 @@ class Mlflow(Tracking):
     def show(self, identity: str | None, port: int | None) -> None:
         """Open MLflow at the run of this hash, or at the list of all; a local server ends with Ctrl-C.
 
-        Raises
-        ------
-        ConfigError
-            If there is no such store or run.
+        A ConfigError says if there is no such store or run.
         """
         file = database(self._uri)
         if file is not None and not file.exists():

@@ -23,10 +23,7 @@ DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")  # of Linux; without one, a browser wo
 def show(uri: str, page: str, port: int | None = None) -> None:
     """Open a page of a store, which is served until Ctrl-C if it is no server itself.
 
-    Raises
-    ------
-    ConfigError
-        If the port is taken, or MLflow's server does not start.
+    A ConfigError says if the port is taken, or MLflow's server does not start.
     """
     if is_server(uri):
         _open(f"{uri.rstrip('/')}/{page}", uri)

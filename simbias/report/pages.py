@@ -93,13 +93,7 @@ def _trial_parts(record: TrialRecord, folder: TrialFolder) -> Iterator[str]:
 
 
 def sweep_page(folder: SweepFolder) -> str:
-    """The report of a sweep, ended or not, as HTML in one file.
-
-    Raises
-    ------
-    ConfigError
-        If its description or a trial's outcome cannot be read.
-    """
+    """The report of a sweep, ended or not, as HTML in one file; a ConfigError if a file cannot be read."""
     description = folder.description()
     return html.page(f"Sweep {description['name']}", _sweep_parts(folder, description))
 

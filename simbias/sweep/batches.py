@@ -54,13 +54,7 @@ class Outcomes:
 
     @staticmethod
     def from_json(text: str) -> Outcomes:
-        """Outcomes as `as_json` wrote them.
-
-        Raises
-        ------
-        ValueError
-            If the text is cut off, or not of this version.
-        """
+        """Outcomes as `as_json` wrote them; a ValueError if the text is cut off, or not of this version."""
         return TypeAdapter(Outcomes).validate_json(text)
 
 

@@ -17,12 +17,7 @@ from simbias.testing.conformance import CHECKS, ConformanceError, Verdict, verdi
 def check(overrides: Sequence[str], config_dir: str | None, allow: Sequence[str] = ()) -> bool:
     """Check the groups that the overrides name, or all but the hardware; tell how each check went.
 
-    No check of another group makes an experiment on the hardware.
-
-    Raises
-    ------
-    ConfigError
-        If an override is bad, or a component refuses its arguments.
+    No check of another group makes an experiment on the hardware. Errors as of `simbias.load`.
     """
     console = standard_output()
     study = build(compose(overrides, config_dir, allow))

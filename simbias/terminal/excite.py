@@ -26,10 +26,7 @@ LEAST, MOST = 0.01, 3600.0  # s of inputs
 def excite(request: Request, seconds: float, file: Path) -> None:
     """Write inputs that tell most of what is not known yet, within the limits, and say what they should tell.
 
-    Raises
-    ------
-    ConfigError
-        If there are no inputs of this duration, none keep the limits, or the file cannot be written.
+    A ConfigError says if no inputs of this duration keep the limits, or the file cannot be written.
     """
     if not LEAST <= seconds <= MOST:
         raise ConfigError("--seconds", f"must be from {LEAST:g} to {MOST:g}, got {seconds:g}")
@@ -66,12 +63,8 @@ def excite(request: Request, seconds: float, file: Path) -> None:
 def recovery(request: Request) -> bool:
     """Tell which parameters of drawn robots come back from recordings like these; whether any does.
 
-    Without recordings, from inputs that were designed, measured in each frame.
-
-    Raises
-    ------
-    ConfigError
-        If a recording cannot be read, all are held out, or no inputs keep the limits.
+    Without recordings, from inputs that were designed, measured in each frame. A ConfigError says if a
+    recording cannot be read, all are held out, or no inputs keep the limits.
     """
     console = standard_output()
     study, recordings, _ = request.opened(console)

@@ -93,11 +93,8 @@ class Request(NamedTuple):
 def identify(request: Request, attach: bool = False) -> bool:
     """Identify, tell, and write; return whether the model is better than the nominal one.
 
-    Raises
-    ------
-    ConfigError
-        If an override is bad, a recording cannot be read, a file cannot be written, or a trial is attached
-        whose hardware has no recordings.
+    A ConfigError names a bad override, a recording that cannot be read, a file that cannot be written, or the
+    hardware of a trial that is attached and has no recordings.
     """
     console = standard_output()
     with slowness_in_one_line():

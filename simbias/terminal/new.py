@@ -15,13 +15,7 @@ NAME = "my_robot"  # of the template
 
 
 def new(name: str) -> None:
-    """Lay out the folder, and say how to use it.
-
-    Raises
-    ------
-    ConfigError
-        If the name is none of a module, or taken.
-    """
+    """Lay out the folder, and say how to use it; a ConfigError if the name is none of a module, or taken."""
     if not name.isidentifier() or keyword.iskeyword(name) or not name.isascii():
         raise ConfigError("new", f"expected the name of a Python module, as {NAME}, got {quote(name)}")
     folder = Path(name)

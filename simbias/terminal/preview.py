@@ -33,10 +33,7 @@ ABORTED, MISSED, DEAR = "are aborted by hardware.safety", "miss the goal", "cost
 def preview(overrides: Sequence[str], config_dir: str | None, allow: Sequence[str] = ()) -> None:
     """Search the first policy, simulate its experiment, tell of it, and draw it into a file.
 
-    Raises
-    ------
-    ConfigError
-        If an override is bad, a component breaks its contract, or the picture cannot be written.
+    Errors as of `simbias.load` and `rehearse`; a ConfigError says if the picture cannot be written.
     """
     console = standard_output()
     with slowness_in_one_line():

@@ -32,13 +32,7 @@ class Spending:
     seconds: float = 0.0
 
     def check(self) -> None:
-        """Refuse what leads to another experiment if the budget is spent.
-
-        Raises
-        ------
-        BudgetSpent
-            Then.
-        """
+        """Raise BudgetSpent if the budget is spent: what follows leads to another experiment."""
         limits = self.budget.experiments or inf, self.budget.seconds or inf
         if self.experiments >= limits[0] or self.seconds >= limits[1]:
             raise BudgetSpent

@@ -20,13 +20,7 @@ LOCK = ".lock"  # file of a folder that one process at a time may write
 
 @contextmanager
 def locked(path: Path, timeout: float, taken: ConfigError) -> Iterator[None]:
-    """Hold a lock in a folder that is made if need be.
-
-    Raises
-    ------
-    ConfigError
-        If the folder cannot be written; `taken` if another process holds the lock for `timeout` s.
-    """
+    """Hold a lock in a folder that is made if need be; `taken` if another process has it for `timeout` s."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         lock = FileLock(path)
@@ -54,26 +48,14 @@ def is_locked(path: Path) -> bool:
 
 
 def require_file(path: Path) -> Path:
-    """The path, if nothing or a file is there: a pipe or a device may never end.
-
-    Raises
-    ------
-    ConfigError
-        If something else is there.
-    """
+    """The path, if nothing or a file is there, else a ConfigError: a pipe or a device may never end."""
     if path.exists() and not path.is_file():
         raise ConfigError(str(path), "is no file")
     return path
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """A mapping from a file.
-
-    Raises
-    ------
-    ConfigError
-        If the file is missing or has no mapping.
-    """
+    """A mapping from a file; a ConfigError if it is missing or has none."""
     require_file(path)
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
@@ -107,13 +89,7 @@ def write_whole(path: Path, content: bytes) -> None:
 
 @contextmanager
 def room_for(path: Path, size: int) -> Iterator[None]:
-    """Take room for a file of at most `size` bytes, so that `write_whole` cannot lack any.
-
-    Raises
-    ------
-    OSError
-        At once, if there is not so much room, or the folder cannot be written.
-    """
+    """Take room for a file of at most `size` bytes: an OSError comes now, and none from `write_whole`."""
     part = _part(path)
     try:
         part.write_bytes(bytes(size))

@@ -18,13 +18,7 @@ SCREENING = 2  # rollouts after which a policy that failed in all of them is not
 
 
 def check_simulator(hardware: Hardware, key: str = "method") -> None:
-    """Refuse a hardware that is a person's, a program's or a recording.
-
-    Raises
-    ------
-    ConfigError
-        Naming the key.
-    """
+    """Refuse a hardware that is a person's, a program's or a recording, by a ConfigError on the key."""
     if type(hardware).__module__.startswith("simbias.lab"):
         problem = f"searches on the hardware itself, but {type(hardware).__name__} is no simulator"
         raise ConfigError(key, problem)

@@ -115,12 +115,8 @@ def run_policy_test(
 ) -> PolicyTestResult | None:
     """Run the test episodes of theta (p,); None if the test has none.
 
-    `trying` is called before each episode, with its number and how many there are.
-
-    Raises
-    ------
-    HardwareError, Waiting
-        As of an experiment.
+    `trying` is called before each episode, with its number and how many there are. Errors are those of
+    experiments.
     """
     if not test.episodes:
         return None

@@ -264,12 +264,9 @@ class FolderRecord(Record):
         return self.folder.path / f"{count:04d}_{kind}"
 
     def check(self) -> None:
-        """Hold the folder that is written against what this process has read and written.
+        """Refuse a folder that is written if its steps are not those that this process has read and written.
 
-        Raises
-        ------
-        ConfigError
-            If it has other steps, or no trial.json: somebody has emptied, moved or changed it.
+        Nor may it lack trial.json: somebody has emptied, moved or changed it.
         """
         path = self.folder.path
         if self._writes and (self.folder.all_steps() != self._kept or not (path / TRIAL).exists()):
@@ -300,13 +297,7 @@ def changed(path: Path) -> ConfigError:
 
 
 def _loaded(path: Path, load: Callable[[Path], Loaded]) -> Loaded:
-    """The content of a step.
-
-    Raises
-    ------
-    ConfigError
-        If it cannot be read.
-    """
+    """The content of a step; a ConfigError if it cannot be read."""
     try:
         return load(require_file(path))
     except ConfigError:

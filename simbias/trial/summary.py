@@ -126,13 +126,7 @@ class TrialSummary:
 
     @staticmethod
     def from_json(values: Mapping[str, Any]) -> TrialSummary:
-        """The summary, as `as_json` wrote it.
-
-        Raises
-        ------
-        ValueError
-            If a value is missing or of another kind.
-        """
+        """The summary, as `as_json` wrote it; a ValueError if a value is missing or of another kind."""
         known = {name: nan if value is None else value for name, value in values.items()}
         return _adapter().validate_python(known)
 

@@ -77,12 +77,7 @@ def animate(
 ) -> None:
     """Write a GIF of rollouts side by side, each under its name, in color.
 
-    It is in real time; what takes longer is shown in `MOST_SECONDS`.
-
-    Raises
-    ------
-    NoPictureError
-        If the task has no drawing, or none that moves.
+    It is in real time; what takes longer is shown in `MOST_SECONDS`. Errors as of `save_animation`.
     """
     draw, move = drawing_of(task), movement_of(task)
     if draw is None or move is None:

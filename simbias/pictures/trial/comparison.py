@@ -75,13 +75,7 @@ def learned_before(iterations: Sequence[Iteration], iteration: Iteration) -> boo
 
 
 def on_hardware(iterations: Sequence[Iteration]) -> list[Iteration]:
-    """The iterations whose policy was tried on the hardware.
-
-    Raises
-    ------
-    NoPictureError
-        If there is none.
-    """
+    """The iterations whose policy was tried on the hardware; a NoPictureError if there is none."""
     tried = [iteration for iteration in iterations if policy_experiments(iteration)]
     if not tried:
         raise NoPictureError("no policy was tried on the hardware")

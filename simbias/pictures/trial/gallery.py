@@ -88,10 +88,7 @@ def save_all(
 ) -> list[str]:
     """Write all pictures of a trial to be published, PNG, SVG and GIF; return the names of the files.
 
-    Raises
-    ------
-    ConfigError
-        If no iteration has ended, or the folder cannot be made.
+    A ConfigError says if no iteration has ended, or the folder cannot be made.
     """
     if not iterations:
         raise ConfigError(str(folder), "no iteration has ended, so there is nothing to draw")
