@@ -29,12 +29,8 @@ BESIDE = {"task": frozenset[str](), "policy": PROVIDED | {"nominal"}}  # of thes
 def construct(config: Any, contract: type, key: str, own: Own = NOTHING, **provided: Any) -> Any:
     """Construct what `_target_` names; `provided` are arguments that it gets if it has them.
 
-    Its module is simbias's or of `own.modules`; files that it names are looked for in `own.folders`.
-
-    Raises
-    ------
-    ConfigError
-        Naming `key` and the argument.
+    Its module is simbias's or of `own.modules`; files that it names are looked for in `own.folders`. A
+    ConfigError names `key` and the argument, also for what the constructor raises.
     """
     component = component_class(config, key, own.modules)
     if not issubclass(component, contract):

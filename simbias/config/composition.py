@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
-import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from simbias.config.allowed import NOTHING, Own, leaves, own, prefixes
-from simbias.config.hydra_config import composed, in_one_line, parsed, set_value
+from simbias.config.hydra_config import composed, errors_in_one_line, parsed, set_value
 from simbias.config.resources import check_no_primary, resource_folder, state
-from simbias.core.errors import ConfigError, reason
+from simbias.core.digest import short_digest
+from simbias.core.errors import ConfigError
 
 if TYPE_CHECKING:
     from hydra.core.override_parser.types import Override
     from omegaconf import DictConfig
 
+SCHEME = 2  # of identities: raised when all of them change
 OF_SWEEPS = ("engine", "sweep")  # groups that no trial knows
 NOT_HASHED = ("tracking", "experiment_timeout", "policy_test", *OF_SWEEPS)  # do not affect a trial's result
 
@@ -56,15 +57,11 @@ class Composition:
     @cached_property
     def group_hash(self) -> str:
         """Identity of what repeated trials share: a hash of all but the seed."""
-        from simbias.config.identity import sha
-
-        return sha({key: value for key, value in self.identity_fields.items() if key != "seed"})
+        return _sha({key: value for key, value in self.identity_fields.items() if key != "seed"})
 
     def hash_with(self, changes: Mapping[str, Any]) -> str:
         """Identity of a trial with other values outside of components, as of its seed."""
-        from simbias.config.identity import sha
-
-        return sha({**self.identity_fields, **changes})
+        return _sha({**self.identity_fields, **changes})
 
     @property
     def trial(self) -> Composition:
@@ -117,7 +114,7 @@ class Variations:
 
         Errors as of `compose`.
         """
-        with self._errors_in_one_line():
+        with errors_in_one_line(self.overrides):
             config, choices = self._merged(self._split, settings, grid=True)
             return self._finished(config, choices, _from_environment(config))
 
@@ -128,7 +125,7 @@ class Variations:
         """
         from omegaconf import flag_override
 
-        with self._errors_in_one_line():
+        with errors_in_one_line(self.overrides):
             config, choices = self._merged(self._split_of_trials, settings, grid=False)
             secret = _from_environment(config)
             with flag_override(config, ["struct", "no_deepcopy_set_nodes"], [False, True]):
@@ -169,23 +166,6 @@ class Variations:
         }
         chosen = {group: option for group, option in choices.items() if group not in left_out}
         return Composition(plain, chosen, own(plain, self._folders, self._allowed), from_environment)
-
-    @contextmanager
-    def _errors_in_one_line(self) -> Iterator[None]:
-        """Hydra's, OmegaConf's and the system's errors are one line that names the key or the overrides."""
-        from hydra.errors import HydraException
-        from omegaconf.errors import OmegaConfBaseException
-
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("error")  # Hydra only warns of a search path that does not exist
-                yield
-        except ConfigError:
-            raise
-        except (HydraException, OmegaConfBaseException, UserWarning) as error:
-            raise in_one_line(error) from error
-        except Exception as error:  # of a file or a value; Hydra raises others than its own, too
-            raise ConfigError(" ".join(self.overrides), reason(error)) from error
 
     @cached_property
     def _grid(self) -> DictConfig | None:
@@ -229,6 +209,12 @@ class _Split(NamedTuple):
 
     structure: Sequence[str]  # Hydra
     values: dict[str, Any]  # that are set in what it composed
+
+
+def _sha(fields: Mapping[str, Any]) -> str:
+    """The first hexadecimal digits of a SHA-256 of these fields and of the scheme."""
+    text = json.dumps({"scheme": SCHEME, **fields}, sort_keys=True, default=str)
+    return short_digest(text.encode())
 
 
 def _is_of_the_grid(override: Override) -> bool:

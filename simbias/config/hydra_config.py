@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -84,14 +86,8 @@ def set_value(config: DictConfig, key: str, value: Any) -> None:
 
 def overridden(overrides: Sequence[str]) -> list[str]:
     """The keys and groups that overrides set or delete; a ConfigError if one cannot be parsed."""
-    from hydra.errors import HydraException
-
-    try:
+    with errors_in_one_line(overrides):
         return [each.key_or_group for each in parsed(overrides)]
-    except HydraException as error:
-        raise in_one_line(error) from error
-    except (RecursionError, ValueError) as error:  # also of a number with too many digits
-        raise ConfigError(" ".join(overrides), reason(error)) from error
 
 
 def _by_hydra(lines: Sequence[str]) -> DictConfig:
@@ -126,7 +122,25 @@ def parsed(overrides: Sequence[str]) -> list[Override]:
     return OverridesParser.create().parse_overrides(list(overrides))
 
 
-def in_one_line(error: Exception) -> ConfigError:
+@contextmanager
+def errors_in_one_line(overrides: Sequence[str]) -> Iterator[None]:
+    """Hydra's, OmegaConf's and the system's errors are one line that names the key or the overrides."""
+    from hydra.errors import HydraException
+    from omegaconf.errors import OmegaConfBaseException
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # Hydra only warns of a search path that does not exist
+            yield
+    except ConfigError:
+        raise
+    except (HydraException, OmegaConfBaseException, UserWarning) as error:
+        raise _in_one_line(error) from error
+    except Exception as error:  # of a file or a value; Hydra raises others than its own, too
+        raise ConfigError(" ".join(overrides), reason(error)) from error
+
+
+def _in_one_line(error: Exception) -> ConfigError:
     """Hydra's and OmegaConf's multi-line errors, as one line that names the key."""
     from hydra.errors import MissingConfigException, OverrideParseException
     from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException

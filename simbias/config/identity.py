@@ -8,7 +8,6 @@ value of an argument alone behaves otherwise, VERSIONS adds to the version of th
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, fields, is_dataclass
 from typing import Any
@@ -22,9 +21,7 @@ from simbias.config.components import (
     constructor_parameters,
 )
 from simbias.config.conditions import HARDWARE, safety, split
-from simbias.core.digest import short_digest
 
-SCHEME = 2  # of identities: raised when all of them change
 LATER = {  # groups that came later, and what does nothing in their place: earlier trials stay what they are
     "identification": {TARGET: "simbias.learning.identification.none.NoIdentification"},
     "budget": {"experiments": None, "seconds": None},
@@ -58,12 +55,6 @@ def identity_fields(
         for key, value in relevant.items()
     }
     return {**found, "safety": _plain(limits)} if limits.limits else found
-
-
-def sha(fields: Mapping[str, Any]) -> str:
-    """The first hexadecimal digits of a SHA-256 of these fields and of the scheme."""
-    text = json.dumps({"scheme": SCHEME, **fields}, sort_keys=True, default=str)
-    return short_digest(text.encode())
 
 
 def _component(config: Mapping[str, Any], key: str, allowed: Sequence[str]) -> dict[str, Any]:
