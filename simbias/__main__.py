@@ -54,13 +54,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _trace_of_own_code(error: BaseException | None) -> str:
     """The place of the traceback of an error from the user's own code."""
     from simbias.core.error_origin import has_own_code
-    from simbias.core.messages import with_trace
-    from simbias.terminal.lines import temporary_traceback
+    from simbias.terminal.lines import place_of_trace
 
-    if error is None or not has_own_code(error):
-        return ""
-    file = temporary_traceback(with_trace(error))
-    return f" (traceback in {file})" if file else ""
+    return "" if error is None or not has_own_code(error) else place_of_trace(error)
 
 
 def _check(parsed: argparse.Namespace) -> int:

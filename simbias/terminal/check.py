@@ -9,9 +9,9 @@ from rich.markup import escape
 from simbias.config import compose
 from simbias.config.build import build
 from simbias.config.hydra_config import overridden
-from simbias.core.messages import counted, with_trace
-from simbias.terminal.lines import say, standard_output, temporary_traceback
-from simbias.testing.conformance import CHECKS, ConformanceError, Verdict, verdicts
+from simbias.core.messages import counted
+from simbias.terminal.lines import place_of_trace, say, standard_output
+from simbias.testing.conformance import CHECKS, ConformanceError, verdicts
 
 
 def check(overrides: Sequence[str], config_dir: str | None, allow: Sequence[str] = ()) -> bool:
@@ -29,7 +29,9 @@ def check(overrides: Sequence[str], config_dir: str | None, allow: Sequence[str]
         mark = "[red]fails[/red]" if verdict.problem else "[green]holds[/green]"
         say(console, f"{mark}  {escape(str(verdict.check))}", markup=True)
         if verdict.problem:
-            say(console, f"       {verdict.problem}{_trace(verdict)}")
+            error = verdict.error
+            trace = "" if error is None or isinstance(error, ConformanceError) else place_of_trace(error)
+            say(console, f"       {verdict.problem}{trace}")
     chosen = ", ".join(f"{group} {study.choices[group]}" for group in sorted(groups))
     end = f"{counted(problems, 'check')} failed" if problems else "all checks hold"
     say(console, f"{chosen}: {end}.")
@@ -37,11 +39,3 @@ def check(overrides: Sequence[str], config_dir: str | None, allow: Sequence[str]
         named = f"hardware={study.choices['hardware']}"
         say(console, f"The hardware was not tried, as it may move: {named} checks it by short experiments.")
     return not problems
-
-
-def _trace(verdict: Verdict) -> str:
-    """The place of the traceback of an error that a component raised."""
-    if verdict.error is None or isinstance(verdict.error, ConformanceError):
-        return ""
-    file = temporary_traceback(with_trace(verdict.error))
-    return f" (traceback in {file})" if file else ""

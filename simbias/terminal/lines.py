@@ -10,6 +10,8 @@ from tempfile import NamedTemporaryFile
 
 from rich.console import Console
 
+from simbias.core.messages import with_trace
+
 TRACEBACK = "simbias-error-"  # of files that are kept for a person
 
 
@@ -29,6 +31,12 @@ def progress(console: Console) -> Iterator[Callable[[str], None]]:
     """The function that tells what is being done; each time in a line where there is no terminal."""
     with console.status("") as status:
         yield status.update if console.is_terminal else partial(say, console)
+
+
+def place_of_trace(error: BaseException) -> str:
+    """Where an error's traceback can be read, in brackets behind a message; "" if it cannot be written."""
+    file = temporary_traceback(with_trace(error))
+    return f" (traceback in {file})" if file else ""
 
 
 def temporary_traceback(traceback: str) -> str:
