@@ -57,9 +57,11 @@ class DirectSearch(Method):
 
     def _start(self, study: Study, model: Model | None) -> Array:
         """The policy (p,) that it begins with: the LQR of a model, or the middle of the bounds."""
-        lower, upper = study.policy.bounds
-        policies = [0.5 * (lower + upper)] if model is None else lqr_policies(model, INPUT_WEIGHTS[1:2])
-        if model is not None and not policies:
+        if model is None:
+            lower, upper = study.policy.bounds
+            return 0.5 * (lower + upper)
+        policies = lqr_policies(model, INPUT_WEIGHTS[1:2])
+        if not policies:
             raise ConfigError("method.begin", why_none(model, "no LQR"))
         return policies[0]
 
