@@ -9,7 +9,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from simbias.core import Task
 from simbias.core.records import Array, Indices, Iteration, Rollout
 from simbias.pictures.elements.drawing import Drawing, drawing_of, share_view
 from simbias.pictures.elements.layout import WIDTH, headline
@@ -108,20 +107,16 @@ def _rollouts(study: Study, iterations: Sequence[Iteration], iteration: Iteratio
 
 def _measure(study: Study, experiment: Rollout, shown: Sequence[Rollout]) -> Measure:
     """The criterion that an experiment failed, or else the first that failed; the cost if that tells more."""
-    names = [criterion.name for criterion in study.task.criteria]
+    task = study.task
+    names = [criterion.name for criterion in task.criteria]
     failures = [rollout.failure for rollout in (experiment, *shown) if rollout.failure in names]
     too_costly = experiment.failed_at is None and not study.passes(experiment)
     if too_costly or not failures:
         return _cost_so_far(study)
-    return _criterion(study.task, names.index(str(failures[0])))
-
-
-def _criterion(task: Task, index: int) -> Measure:
-    """The measure of a failure criterion."""
-    criterion = task.criteria[index]
+    index = names.index(str(failures[0]))
     return Measure(
-        f"criterion\n{label(criterion)}",
-        criterion.limit,
+        f"criterion\n{label(task.criteria[index])}",
+        task.criteria[index].limit,
         "limit",
         lambda rollout: (np.arange(len(rollout.states)), task.measure(rollout.states)[:, index]),
     )
