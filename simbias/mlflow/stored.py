@@ -17,11 +17,7 @@ from simbias.mlflow.trial import FOLDER
 def trial_folder(run_id: str, uri: str) -> Iterator[Path]:
     """The trial's folder, downloaded from its run; it is deleted with the context.
 
-    Raises
-    ------
-    ConfigError
-        If the store cannot be used (one that is missing is not made), has no such run, or the run is no
-        trial's.
+    A ConfigError says if the store cannot be used (one that is missing is not made), or has no such trial.
     """
     file = database(uri)
     if file is not None and not file.exists():

@@ -82,12 +82,8 @@ class Mlflow(Tracking):
     def export_all(self) -> Iterator[str]:
         """Export all trials and sweeps of the folder; a line for each sweep, and one for the other trials.
 
-        A trial that cannot be read is reported, and counted in `unshown`.
-
-        Raises
-        ------
-        ConfigError
-            If there are none, or the store cannot be used; what was exported before it failed stays.
+        A trial that cannot be read is reported, and counted in `unshown`. A ConfigError says if there are
+        none, or the store cannot be used; what was exported before it failed stays.
         """
         folders = [file.parent for file in sorted(self.folder.glob(f"*/{TRIAL}"))]
         if not folders:

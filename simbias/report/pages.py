@@ -35,10 +35,7 @@ TOLD = ("hash", "user", "commit", "changed", "command")  # of a description, in 
 def write_report(folder: Path, config_dir: Path | str | None = None, allow: Sequence[str] = ()) -> list[Path]:
     """Write `report.html` into a trial's or a sweep's folder, or into those of all sweeps beside trials.
 
-    Raises
-    ------
-    ConfigError
-        If the folder holds neither, or what it holds cannot be read or written.
+    A ConfigError says if the folder holds neither, or what it holds cannot be read or written.
     """
     alone = [folder] if (folder / TRIAL).is_file() or (folder / SWEEP).is_file() else []
     folders = alone or [sweep.path for sweep in sweep_folders(folder)]

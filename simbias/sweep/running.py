@@ -37,12 +37,8 @@ def run(
 ) -> DataFrame:
     """Compose a sweep and run what is missing of it; see `run_sweep`.
 
-    With `sweep.dry_run=true` nothing runs: the trials are those that are finished.
-
-    Raises
-    ------
-    ConfigError
-        If anything is bad about the sweep, before anything runs; or if the store or a cluster cannot be used.
+    With `sweep.dry_run=true` nothing runs: the trials are those that are finished. Before anything runs, a
+    ConfigError says what is bad about the sweep.
     """
     variations = Variations(overrides, config_dir, allow)
     composition = variations.composition({})
@@ -62,13 +58,8 @@ def run(
 def prepare(store: Tracking, variations: Variations) -> tuple[Sweep, DataFrame]:
     """The sweep, and the trials that are finished.
 
-    The components of every cell could be built, and its method works with them. Where trials are to be run,
-    the simulation is compiled.
-
-    Raises
-    ------
-    ConfigError
-        If anything is bad about the sweep or one of its cells.
+    The components of every cell could be built, and its method works with them, or a ConfigError says why
+    not. Where trials are to be run, the simulation is compiled.
     """
     sweep = expanded(variations)
     ended = finished(sweep, store)

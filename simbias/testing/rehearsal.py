@@ -17,11 +17,8 @@ GROUPS = ("task", "nominal", "policy")  # whose checks take milliseconds
 def rehearse(study: Study) -> None:
     """Hold own components to their contracts, and compile the simulation.
 
-    Raises
-    ------
-    ConfigError
-        If one breaks its contract or raises: one line with component, method, expected and got. Or if the
-        method cannot work with a component, or an experiment is so short that it tells nothing.
+    A ConfigError has component, method, expected and got of one that breaks its contract or raises. Others
+    are of a method that cannot work with a component, and of an experiment too short to tell anything.
     """
     study.method.check(study)
     task = study.task

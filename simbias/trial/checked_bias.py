@@ -22,13 +22,7 @@ class CheckedBias(Bias):
         self._bias, self._task = bias, task
 
     def fit(self, transitions: Transitions) -> FittedBias:
-        """Learn from the data.
-
-        Raises
-        ------
-        ValueError
-            If what is learned is no bias, or its correction has another shape or is not finite.
-        """
+        """Learn from the data; a ValueError if this gives no bias, or one of another shape or not finite."""
         return self._checked("fit", self._bias.fit(transitions), transitions)
 
     def learn(self, transitions: Transitions, rollouts: Sequence[Rollout], nominal: Nominal) -> FittedBias:
