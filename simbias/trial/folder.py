@@ -30,7 +30,7 @@ from pathlib import Path
 from typing import Any
 
 from simbias.core.errors import ConfigError
-from simbias.core.messages import words
+from simbias.core.messages import with_type, words
 from simbias.trial.disk import LOCK, PART, append_line, locked, read_json, read_lines
 from simbias.trial.summary import TrialSummary
 
@@ -111,14 +111,18 @@ class TrialFolder:
 
     def seconds(self) -> float:
         """Wall time of all attempts but those that were killed, s."""
-        stops = [float(each["stopped"]["seconds"]) for each in self.attempts() if "stopped" in each]
+        stopped = (each.get("stopped") for each in self.attempts())
+        stops = [float(each.get("seconds") or 0.0) for each in stopped if isinstance(each, dict)]
         stops += [each.seconds for each in self.withdrawals()]
         return max(stops, default=0.0)  # each has that of those before it
 
     def withdrawals(self) -> list[Withdrawal]:
         """The experiments that a person withdrew, in the order in which that was done."""
-        lines = (each["withdrawn"] for each in self.attempts() if "withdrawn" in each)
-        return [Withdrawal(**{**each, "superseded": tuple(each["superseded"])}) for each in lines]
+        lines = [each["withdrawn"] for each in self.attempts() if "withdrawn" in each]
+        try:
+            return [Withdrawal(**{**each, "superseded": tuple(each["superseded"])}) for each in lines]
+        except (KeyError, TypeError) as error:
+            raise ConfigError(str(self.path / ATTEMPTS), f"cannot be read ({with_type(error)})") from error
 
     def numbered(self, name: str) -> Path:
         """A file of this name, with the number of withdrawals in it if there are any."""

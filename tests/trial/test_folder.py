@@ -208,11 +208,15 @@ def test_what_cannot_be_read_is_one_line_that_names_the_file(
         read_folder(tmp_path)
 
 
-@pytest.mark.parametrize("stopped", [3, {"outcome": "fine"}])
-def test_an_attempt_that_cannot_be_read_is_named(tmp_path: Path, stopped: object) -> None:
-    (tmp_path / ATTEMPTS).write_text(json.dumps({"stopped": stopped}))
+@pytest.mark.parametrize("line", [{"stopped": 3}, {"stopped": {}}, {"withdrawn": 3}, {"withdrawn": {}}])
+def test_an_attempt_that_cannot_be_read_is_named(tmp_path: Path, line: dict[str, object]) -> None:
+    """How one stopped follows from the steps, what was withdrawn does not."""
+    (tmp_path / ATTEMPTS).write_text(json.dumps(line))
+    folder = TrialFolder(tmp_path)
     with one_line(r"attempts\.jsonl: cannot be read"):
-        TrialFolder(tmp_path).summary()
+        folder.summary()
+    if "stopped" in line:
+        assert (folder.ended, folder.seconds()) == (False, 0.0)
 
 
 def test_files_of_ones_own_are_no_steps(tmp_path: Path) -> None:
