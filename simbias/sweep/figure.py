@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
@@ -78,15 +77,6 @@ class SweptTrials:
     def cell(self, row: Row) -> str:
         """The cell of a trial, by its labels."""
         return " ".join(self.labels(row))
-
-    def place(self, row: Row) -> int:
-        """The place of a trial's cell among those of the sweep."""
-        return self._places[self.labels(row)]
-
-    @cached_property
-    def _places(self) -> Mapping[tuple[str, ...], int]:
-        """Places of cells, by their labels."""
-        return {cell.labels: place for place, cell in enumerate(self.sweep.cells)}
 
 
 @dataclass(frozen=True, eq=False)

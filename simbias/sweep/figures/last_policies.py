@@ -50,8 +50,7 @@ class LastPolicies(SweepFigure):
         rows = [row for row in trials.rows if row.get("test_episodes")]
         if not rows:
             raise FigureError(UNTESTED)
-        cells = [" ".join(cell.labels) for cell in trials.sweep.cells]
-        places = [trials.place(row) for row in rows]
+        cells = [cell.labels for cell in trials.sweep.cells]
         numbers = pd.DataFrame(
             {
                 "cell": [trials.cell(row) for row in rows],
@@ -60,12 +59,13 @@ class LastPolicies(SweepFigure):
                 "experiments": [row["experiments"] for row in rows],
                 "success_rate": [success_rate(row["test_episodes"]) for row in rows],
             },
-            index=places,
+            index=[cells.index(trials.labels(row)) for row in rows],
         )
         episodes = numbers_of_episodes(row["test_episodes"] for row in rows)
         success = trials.sweep.success
         words = "test episodes that last" if success == LASTS else "success rate of the last policy"
-        return Picture(_figure(numbers, cells, words), numbers, _caption(numbers, episodes, success))
+        figure = _figure(numbers, [" ".join(labels) for labels in cells], words)
+        return Picture(figure, numbers, _caption(numbers, episodes, success))
 
 
 def _caption(numbers: pd.DataFrame, episodes: str, success: str) -> str:
