@@ -129,8 +129,8 @@ def _files(walk: Iterator[tuple[str, list[str], list[str]]]) -> Iterator[tuple[s
 def check_ends(file: Path) -> None:
     """Refuse a pipe or a device, and a file whose aliases of aliases stand for too many values.
 
-    OmegaConf copies what an alias stands for, and eleven lines may mean 43 million values. What is no YAML is
-    refused where it is asked for.
+    OmegaConf copies what an alias stands for, and eleven lines may mean 43 million values. A ConfigError
+    names the file; one that is no YAML is named where it is asked for.
     """
     import yaml  # lazily: --help needs none
 

@@ -20,7 +20,10 @@ LOCK = ".lock"  # file of a folder that one process at a time may write
 
 @contextmanager
 def locked(path: Path, timeout: float, taken: ConfigError) -> Iterator[None]:
-    """Hold a lock in a folder that is made if need be; `taken` if another process has it for `timeout` s."""
+    """Hold a lock in a folder that is made if need be; a ConfigError if this cannot be written.
+
+    `taken` is raised if another process holds the lock for `timeout` s.
+    """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         lock = FileLock(path)

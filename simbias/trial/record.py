@@ -264,9 +264,9 @@ class FolderRecord(Record):
         return self.folder.path / f"{count:04d}_{kind}"
 
     def check(self) -> None:
-        """Refuse a folder that is written if its steps are not those that this process has read and written.
+        """Hold the folder that is written against what this process has read and written.
 
-        Nor may it lack trial.json: somebody has emptied, moved or changed it.
+        If it has other steps, or no trial.json, somebody has emptied, moved or changed it: a ConfigError.
         """
         path = self.folder.path
         if self._writes and (self.folder.all_steps() != self._kept or not (path / TRIAL).exists()):
