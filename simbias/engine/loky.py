@@ -137,11 +137,9 @@ def _follow(parent: int) -> None:
     _in_background(_end_with, parent)
     if sys.platform != "win32":  # which knows no forks
         forks = [os.getpid()]
-        os.register_at_fork(
+        os.register_at_fork(  # a child holds pipes that tell of our death
             before=lambda: forks.__setitem__(0, os.getpid()),
-            after_in_child=lambda: _in_background(
-                _end_with, forks[0]
-            ),  # it holds pipes that tell of our death
+            after_in_child=lambda: _in_background(_end_with, forks[0]),
         )
     Finalize(None, lambda: _in_background(_end_after, LEAVE_SECONDS), exitpriority=0)  # Python waits for them
 

@@ -41,9 +41,8 @@ Measure = Literal[
     "long_success_rate",
     "paper",
 ]
-FIGURES = {
-    "experiments": {"_target_": "simbias.sweep.figures.experiments.Experiments"}
-}  # where none is named
+# Where none is named.
+FIGURES = {"experiments": {"_target_": "simbias.sweep.figures.experiments.Experiments"}}
 
 
 @dataclass(frozen=True)

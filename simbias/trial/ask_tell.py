@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -26,7 +26,8 @@ class AskTell:
     def __init__(self, task: Task, run: Callable[[Record, Hardware], Iterator[Iteration]]) -> None:
         self._task = task
         self._run = run
-        self._steps = _Steps()
+        self._told: list[Rollout] = []
+        self._optima: list[Optimum] = []
         self._request: ExperimentRequest | None = None
         self.iterations: tuple[Iteration, ...] = ()  # those that have ended
 
@@ -35,10 +36,9 @@ class AskTell:
         if self._request is not None:
             return self._request
         iterations: list[Iteration] = []
-        self._steps.begin()
-        asking = _Asking(self._task)
+        steps, asking = _Steps(self._told, self._optima), _Asking(self._task)
         try:
-            for iteration in self._run(self._steps, asking):
+            for iteration in self._run(steps, asking):
                 iterations.append(iteration)
         except EndOfRecord:
             self._request = asking.request
@@ -52,7 +52,7 @@ class AskTell:
         request = self._request
         checked = check_rollout(rollout, "study.tell", self._task, request.bounds)
         targets = getattr(request.policy, "targets", np.empty(0))
-        self._steps.experiments.append(beside(replace(checked, parameters=request.theta), targets))
+        self._told.append(beside(replace(checked, parameters=request.theta), targets))
         self._request = None
 
 
@@ -77,16 +77,10 @@ class _AskedError(Waiting, EndOfRecord):
 
 
 class _Steps(Record):
-    """The steps of a trial, as long as it is asked and told."""
+    """The steps of a trial as far as they are known; the optima of further searches are added."""
 
-    def __init__(self) -> None:
-        self.experiments: list[Rollout] = []
-        self._optima: list[Optimum] = []
-        self.begin()
-
-    def begin(self) -> None:
-        """Replay from the first step."""
-        self._experiments, self._searches = iter(tuple(self.experiments)), iter(tuple(self._optima))
+    def __init__(self, told: Sequence[Rollout], optima: list[Optimum]) -> None:
+        self._experiments, self._optima, self._searches = iter(told), optima, iter(tuple(optima))
 
     def search(self, make: Callable[[], Optimum]) -> Optimum:
         """The next search."""

@@ -174,7 +174,7 @@ def test_who_is_asked_is_told_a_robots_start_and_a_policy_that_knows_them(still:
     )
     asking.tell(rollout)
     asking.ask()
-    (told, *_) = asking.ask_tell._steps.experiments
+    (told, *_) = asking.ask_tell._told
     np.testing.assert_array_equal(
         told.states[:, 4:], np.tile(told.states[0, 4:], (still.task.horizon + 1, 1))
     )
