@@ -13,10 +13,7 @@ from pathlib import Path
 def cache_folder(name: str, *first: str) -> Path:
     """A folder that can be written: in one of the `first`, in the package, or in the user's cache.
 
-    Raises
-    ------
-    OSError
-        If there is none.
+    OSError if there is none.
     """
     for parent in _parents(first):
         folder = parent / name
@@ -39,14 +36,9 @@ def _parents(first: tuple[str, ...]) -> Iterator[Path]:
 
 
 def _private() -> Path:
-    """A folder of this user's among the temporary ones.
+    """A folder of this user's among the temporary ones; OSError if another user made one of that name.
 
-    Another user may have made one of that name, and what Numba finds in its cache it runs.
-
-    Raises
-    ------
-    OSError
-        If another user made it.
+    What Numba finds in its cache it runs.
     """
     user = os.getuid() if sys.platform != "win32" else 0  # where temporary folders are a user's own
     folder = Path(tempfile.gettempdir()) / f"simbias-{user}"

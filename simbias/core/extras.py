@@ -12,13 +12,7 @@ from simbias.core.messages import words
 
 
 def library(module: str, name: str, extra: str) -> Any:
-    """A module, which may be missing.
-
-    Raises
-    ------
-    ValueError
-        If it cannot be imported; the line says how to install it.
-    """
+    """A module; if it is missing, ValueError, whose line says how to install it."""
     try:
         return import_module(module)
     except ImportError as error:

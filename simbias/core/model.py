@@ -101,10 +101,7 @@ class Nominal(ABC):
 def drawn(draw: Callable[[], Array], at: Callable[[Array], Nominal]) -> tuple[Array, Nominal]:
     """Coordinates of parameters, and the model at them: the first that are drawn of a robot that may be.
 
-    Raises
-    ------
-    ValueError
-        If none of many is.
+    ValueError if none of many is.
     """
     for _ in range(MOST_DRAWS):
         z = draw()

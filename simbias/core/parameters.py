@@ -53,10 +53,7 @@ def uncertain(
 ) -> tuple[Parameter, ...]:
     """Those of some values that are uncertain: log-normal or, where a value is zero, half-normal.
 
-    Raises
-    ------
-    ValueError
-        If none of the values has a name.
+    ValueError if none of the values has a name.
     """
     for name in uncertainty:
         if name not in values:

@@ -103,10 +103,7 @@ def by_quantity(
 ) -> Array:
     """The value (k,) of each of k quantities: by its own name or else by its kind, and a suffix.
 
-    Raises
-    ------
-    ValueError
-        If a name is of none of them: the refusal, that name, and those that there are.
+    ValueError if a name is of none of them: the refusal, that name, and those that there are.
     """
     names = [[name + suffix for name in quantity.names] for quantity in quantities]
     known = dict.fromkeys(name for own in names for name in own)
@@ -119,10 +116,7 @@ def by_quantity(
 def rates_and_positions(quantities: Sequence[Quantity]) -> tuple[Indices, Indices]:
     """Places (n / 2,) of rates, and of what they are the rates of, in the same order.
 
-    Raises
-    ------
-    ValueError
-        If there are not as many rates as others.
+    ValueError if there are not as many rates as others.
     """
     is_rate = np.array([quantity.is_rate for quantity in quantities])
     rates, positions = np.flatnonzero(is_rate), np.flatnonzero(~is_rate)
@@ -132,13 +126,7 @@ def rates_and_positions(quantities: Sequence[Quantity]) -> tuple[Indices, Indice
 
 
 def check_quantities(task: Task) -> None:
-    """Refuse quantities that the columns of a recording do not tell apart, and angles of an unknown turn.
-
-    Raises
-    ------
-    ValueError
-        If there are such.
-    """
+    """ValueError if columns of a recording do not tell quantities apart, or an angle has an unknown turn."""
     names = ["time", *(each.name for each in (*task.states, *task.inputs)), "failure"]
     if twice := [name for i, name in enumerate(names) if name in names[:i]]:
         raise ValueError(f"{twice[0]}: two of time, states, targets, inputs and failure have this name")

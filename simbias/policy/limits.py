@@ -9,13 +9,7 @@ from simbias.core.records import Array
 
 
 def limits_of(task: Task) -> tuple[Array, Array]:
-    """Lower and upper limits (m,) of the inputs.
-
-    Raises
-    ------
-    ValueError
-        If an input has none.
-    """
+    """Lower and upper limits (m,) of the inputs; ValueError if an input has none."""
     bounds = task.input_bounds
     for each, limits in zip(task.inputs, np.transpose(bounds), strict=True):
         if not np.isfinite(limits).all():

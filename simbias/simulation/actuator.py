@@ -33,13 +33,7 @@ class Actuator(NamedTuple):
 
 
 def taps_of(delay: float, time_step: float) -> int:
-    """The number of earlier inputs that a delay of up to `delay` s needs.
-
-    Raises
-    ------
-    ValueError
-        If these are too many to remember.
-    """
+    """The number of earlier inputs that a delay of up to `delay` s needs; ValueError if it is too large."""
     taps = math.ceil(delay / time_step - 1e-9)
     if taps > MOST_TAPS:
         raise ValueError(f"a delay of up to {delay:g} s is {taps} frames; at most {MOST_TAPS} are remembered")

@@ -46,10 +46,7 @@ def linearization(nominal: Nominal, x: Array, u: Array, input_limit: Array) -> t
 def linear_regulator(A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array]:
     """K (m, l) of u = -K s, which minimises the sum of s Q s + u R u, and S (l, l) of the sum s S s.
 
-    Raises
-    ------
-    LinAlgError, ValueError
-        If there is none.
+    LinAlgError or ValueError if there is none.
     """
     S = solve_discrete_are(A, B, Q, R)
     return np.linalg.solve(R + B.T @ S @ B, B.T @ S @ A), S

@@ -70,12 +70,7 @@ class Hybrid(Optimizer):
 def search_sobol(evaluations: Evaluations, rng: np.random.Generator) -> str:
     """Evaluate a scrambled sequence, whose points never wait for each other, until the evaluations end.
 
-    A. B. Owen, "Scrambling Sobol' and Niederreiter-Xing points".
-
-    Raises
-    ------
-    ConfigError
-        If no sequence has so many dimensions.
+    A. B. Owen, "Scrambling Sobol' and Niederreiter-Xing points". ConfigError if none has so many dimensions.
     """
     from scipy.stats import qmc  # takes long to import
 

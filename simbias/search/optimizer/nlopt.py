@@ -42,10 +42,7 @@ class Nlopt(Optimizer):
 def search_nlopt(algorithm: Algorithm, evaluations: Evaluations, rng: np.random.Generator) -> str:
     """Search by one of NLopt's algorithms, looking ahead; why it ended, in words.
 
-    Raises
-    ------
-    ConfigError
-        If the algorithm cannot search among so many parameters.
+    ConfigError if the algorithm cannot search among so many parameters.
     """
     seed, start, most = int(rng.integers(1, 2**31)), evaluations.start, evaluations.remaining
 
