@@ -103,10 +103,7 @@ class RateFilter(Observer):
 class RatesOfPositions(Observer):
     """r <- r + alpha (dq / dt - r): differences of positions, filtered; measured rates are not used.
 
-    Raises
-    ------
-    ValueError
-        If a task has not as many rates as other states: they are taken in the same order.
+    ValueError if a task has not as many rates as other states: they are taken in the same order.
     """
 
     bounds = (np.array([LEAST]), np.array([1.0]))
@@ -159,10 +156,7 @@ class KalmanFilter(Observer):
     If inputs are late, the policy acts on the state that its input will meet: `frames_ahead` frames later, by
     the inputs that are under way.
 
-    Raises
-    ------
-    ValueError
-        If the model has no stationary filter there.
+    ValueError if the model has no stationary filter there.
     """
 
     def __init__(self, task: Task, nominal: Nominal, noise: Variances = QUIET) -> None:
@@ -235,10 +229,7 @@ class LookAhead(Observer):
     x + (latency / dt) (f'(x, u) - x), f' the nominal model as declared, u the mean of the inputs that were
     sent in this time. It is one step that is stretched, however late they are.
 
-    Raises
-    ------
-    ValueError
-        If they are later than 20 frames.
+    ValueError if they are later than 20 frames.
     """
 
     def __init__(self, task: Task, nominal: Nominal, observer: Observer, latency: float) -> None:

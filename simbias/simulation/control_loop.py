@@ -42,10 +42,7 @@ def experiment(
 
     Failure is judged by the true states. What is recorded are these, or the measured ones.
 
-    Raises
-    ------
-    HardwareError
-        If the robot stands, or the policy asks for, what is not finite.
+    A HardwareError says if the robot stands, or the policy asks for, what is not finite.
     """
     states = [robot.state()]
     if not _is_finite(states[0]):

@@ -79,10 +79,7 @@ class Noise:
 class Sensor:
     """Sees each state some frames late, and some quantities off by a constant.
 
-    Raises
-    ------
-    ValueError
-        If the task has no state of that name.
+    ValueError if the task has no state of that name.
     """
 
     def __init__(self, task: Task, offsets: Offsets, delay: int) -> None:
