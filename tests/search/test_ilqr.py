@@ -1,6 +1,8 @@
 """Trajectories by iterative LQR, and the policies that follow them."""
 
 from dataclasses import replace
+from importlib import resources
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -182,6 +184,26 @@ def test_to_a_goal_that_moves_one_plan_begins_at_rest(monkeypatch: pytest.Monkey
     with pytest.raises(ConfigError, match="the model fails whatever inputs"):
         next(trajectory_candidates([moving.first_model()], 3))
     assert begun == [None]
+
+
+@pytest.mark.slow
+def test_a_plan_leads_over_such_that_fail(tmp_path: Path) -> None:
+    """A pendulum spins after a reference; the first trajectories are faster than the task allows."""
+    weak = resources.files(simbias) / "robots/mujoco/models/pendulum.xml"
+    file = tmp_path / "strong.xml"
+    file.write_text(weak.read_text().replace("-2.5 2.5", "-20 20"))
+    task = ["task.horizon=100", "task.inputs.torque.limit=20", "task.failure.speed.above=14", "task.hold=0.5"]
+    goal = ["task.goal={angle: 'pi + 3*t**2'}", "cost=tracking", "~cost.error_weights.velocity"]
+    policy = ["policy=trajectory", "~policy.units", "policy.bound=1000", "policy.knots=51"]
+    others = ["identification=none", "method=trajectory", "policy.observer=none"]
+    others += [f"{group}.file={file}" for group in ("nominal", "hardware")]
+    study = simbias.load(["preset=pendulum_swingup", "tracking=none", *task, *goal, *policy, *others])
+    shooting = Shooting(study.first_model(), study.cost.goal_weights)
+    plan = shooting.plan(None)
+    assert plan is not None
+    assert study.task.failure(plan.states[-1]) is None
+    error = plan.states[:, 0] - np.pi - 3 * (study.task.time_step * np.arange(101)) ** 2
+    assert np.abs(error).max() < 0.05
 
 
 @pytest.mark.slow
