@@ -11,7 +11,7 @@ from simbias.trial.study import Study
 from simbias.trial.warm_up import warm_up
 
 LEAST_SECONDS = 0.01  # of an experiment: in less nothing can fail, and every policy would succeed
-GROUPS = ("task", "nominal", "policy")  # whose checks take milliseconds
+GROUPS = ("task", "nominal", "policy")  # whose checks take a second at most
 
 
 def rehearse(study: Study) -> None:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from simbias.core import Nominal
+from simbias.core import Nominal, Policy
 from simbias.core.records import Array
 from simbias.simulation.compiler import points_of
+from simbias.simulation.numpy_loop import PlainSimulator
 from simbias.testing.expectations import (
     POINTS,
     check,
@@ -22,6 +25,7 @@ from simbias.testing.expectations import (
 from simbias.trial.study import Study
 
 CORNERS = 4  # of a policy's box that are tried at each state
+EPISODE = 500  # frames, at most, of rollouts along which a policy is tried
 
 
 @check("task", "shapes and names")
@@ -131,29 +135,47 @@ def _policy_bounds(study: Study) -> None:
     expect((np.asarray(lower) < upper).all(), "policy.bounds", "lower below upper", (lower, upper))
 
 
-@check("policy", "inputs within their limits, with any leading axes")
+@check("policy", "inputs within their limits, with any leading axes, along episodes")
 def _policy_acts(study: Study) -> None:
-    policy, x, thetas = study.policy, states(study), policies(study)
-    policy_state = np.zeros((POINTS, policy.state_size))
-
-    def act(theta: Array, state: Array, before: Array) -> Array:
-        u, after = policy.act(theta, state, 0.0, before)
-        return np.concatenate([u, after], axis=-1)
-
-    u, after = policy.act(thetas, x, 0.0, policy_state)
-    m = len(study.task.inputs)
+    policy, x, thetas, m = study.policy, states(study), policies(study), len(study.task.inputs)
+    before = np.zeros((POINTS, policy.state_size))
+    u, after = policy.act(thetas, x, 0.0, before)
     equal(np.shape(u), (POINTS, m), "policy.act", f"inputs of shape ({POINTS}, {m})")
-    equal(np.shape(after), policy_state.shape, "policy.act", f"a policy state of shape {policy_state.shape}")
-    lower, upper = study.task.input_bounds
+    equal(np.shape(after), before.shape, "policy.act", f"a policy state of shape {before.shape}")
+    expect(not np.isnan(u).any(), "policy.act", "numbers near the start", u)
     far = np.tile(points_of(study.task)[0], (CORNERS, 1))
     corners = np.where(np.random.default_rng(2).random((len(far), thetas.shape[1])) < 0.5, *policy.bounds)
+    watched = _Watched(study)
     with np.errstate(all="ignore"):
-        others, _ = policy.act(corners, far, 0.0, np.zeros((len(far), policy.state_size)))
-    u = np.concatenate([u, others[~np.isnan(others).any(axis=-1)]])  # outputs need not be numbers everywhere
-    rounding = 1e-12 * study.task.input_limit
-    within = ((lower - rounding <= u) & (u <= upper + rounding)).all(axis=-1)
-    expect(within.all(), "policy.act", f"inputs within {lower} and {upper}", u[~within][:1])
-    expect_any_leading_axes(act, "policy.act", thetas, x, policy_state)
+        watched.act(corners, far, 0.0, np.zeros((len(far), policy.state_size)))
+    task = study.task.with_horizon(min(study.task.horizon, EPISODE))
+    PlainSimulator([replace(study.model(), task=task, policy=watched)], [None]).rollouts(thetas, x)
+
+
+class _Watched(Policy):
+    """A policy whose inputs are held against their limits, and at times one by one against those of many."""
+
+    def __init__(self, study: Study) -> None:
+        self._policy, self.state_size = study.policy, study.policy.state_size
+        (lower, upper), rounding = study.task.input_bounds, 1e-12 * study.task.input_limit
+        self._expected = f"inputs within {lower} and {upper}"
+        self._lower, self._upper = lower - rounding, upper + rounding
+        self._frames = 0
+
+    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
+        """Inputs (k, m) and the policy state (k, s) of k rollouts."""
+
+        def act(theta: Array, x: Array, policy_state: Array) -> Array:
+            return np.concatenate(self._policy.act(theta, x, t, policy_state), axis=-1)
+
+        if not self._frames & (self._frames - 1):  # 0, 1, 2, 4, 8, ...
+            rows = np.arange(POINTS) % len(x)
+            expect_any_leading_axes(act, "policy.act", theta[rows], x[rows], policy_state[rows])
+        self._frames += 1
+        u, after = self._policy.act(theta, x, t, policy_state)
+        beyond = (u < self._lower) | (u > self._upper)  # far away it need not be a number
+        expect(not beyond.any(), "policy.act", self._expected, u[beyond.any(axis=-1)][:1])
+        return u, after
 
 
 @check("policy", "what imitates inputs is a policy")
