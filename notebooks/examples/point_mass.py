@@ -80,7 +80,7 @@ class EveryFifth(Samples):
         pairs = [triple for rollout in triples for triple in rollout][::5]
         inputs = np.array([np.concatenate([x, u]) for x, u, _ in pairs]).reshape(-1, 3)
         residuals = np.array([y - nominal.step(x, u) for x, u, y in pairs]).reshape(-1, 2)
-        return Selection(Transitions(inputs, residuals), len(pairs), len(pairs), {})
+        return Selection(Transitions(inputs, residuals), sum(r.frames for r in rollouts), len(pairs), {})
 
 
 class Distance(Cost):

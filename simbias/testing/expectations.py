@@ -94,7 +94,10 @@ def _in_a_grid(array: Array) -> Array:
 def expect_any_leading_axes(method: Callable[..., Any], name: str, *arrays: Array) -> None:
     """A method gives for an array of points what it gives for each, and leaves its arguments as they are."""
     expect_arguments_left(method, name, *arrays)
-    each = np.array([method(*rows) for rows in zip(*arrays, strict=True)])
+    made = [method(*rows) for rows in zip(*arrays, strict=True)]
+    shapes = {np.shape(one) for one in made}
+    expect(len(shapes) == 1, name, "the same shape for each point", shapes)
+    each = np.array(made)
     equal(method(*arrays), each, name, "for several points what it gives for each")
     grid = method(*map(_in_a_grid, arrays))
     equal(grid, _in_a_grid(each), name, "the same with two leading axes")

@@ -6,8 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from simbias.core import Nominal
 from simbias.core.records import Array
 from simbias.testing.expectations import (
+    POINTS,
     check,
     equal,
     expect,
@@ -17,9 +19,12 @@ from simbias.testing.expectations import (
     policies,
     robot_states,
     rollout,
+    states,
     transitions,
 )
 from simbias.trial.study import Study
+
+OFF = 1e-3  # of the state, by which a model is off whose residuals are known
 
 
 @check("bias", "without data nothing is corrected")
@@ -34,7 +39,8 @@ def _bias_predicts(study: Study) -> None:
     x, u = robot_states(study), inputs(study)
     points = np.concatenate([x, u], axis=1)
     mean, variance = fitted.predict(points)
-    equal((np.shape(mean), np.shape(variance)), (x.shape, x.shape), "predict", f"mean, variance {x.shape}")
+    for name, given in (("means", mean), ("variances", variance)):
+        expect(np.shape(given) == x.shape, "predict", f"{name} of shape {x.shape}", np.shape(given))
     expect((np.asarray(variance) >= 0).all(), "predict", "no negative variance", variance)
     expect(np.isfinite(mean).all(), "predict", "finite means", mean)
     expect_any_leading_axes(fitted.correction, "correction", x, u)
@@ -49,7 +55,23 @@ def _bias_draws(study: Study) -> None:
     equal(one, same, "draw", "the same bias from the same generator", 0.0)
 
 
-@check("samples", "what is selected, and what is not, is counted")
+class _Off(Nominal):
+    """A nominal model whose steps miss a thousandth of the state: the residuals of the model itself."""
+
+    def __init__(self, nominal: Nominal) -> None:
+        self._nominal, self.state_size, self.acting = nominal, nominal.state_size, nominal.acting
+
+    def step(self, x: Array, u: Array) -> Array:
+        """x_next (..., n) that is off."""
+        return self._nominal.step(x, u) - OFF * x
+
+    def advance(self, x: Array, u: Array, model_state: Array) -> tuple[Array, Array]:
+        """Such an x_next (..., n), and the model state (..., s) for the next frame."""
+        x_next, kept = self._nominal.advance(x, u, model_state)
+        return x_next - OFF * x, kept
+
+
+@check("samples", "residuals, and what is not selected is counted")
 def _samples_count(study: Study) -> None:
     rollouts = [rollout(study), rollout(study, 1)]
     selection = study.select(rollouts, study.nominal)
@@ -61,6 +83,9 @@ def _samples_count(study: Study) -> None:
     expect(count <= selection.sampled, "samples.select", "no more samples than were looked at", count)
     again = study.select(rollouts, study.nominal).transitions.residuals
     equal(again, selection.transitions.residuals, "samples.select", "the same of the same rollouts", 0.0)
+    data = study.select(rollouts, _Off(study.nominal)).transitions
+    expected = "residuals x_next - step(x, u) of its inputs (x, u)"
+    equal(data.residuals, OFF * data.inputs[:, :n], "samples.select", expected, 1e-6)
     equal(len(study.select([], study.nominal).transitions), 0, "samples.select", "nothing of nothing")
 
 
@@ -69,11 +94,20 @@ def _cost_is_finite(study: Study) -> None:
     whole = rollout(study)
     cost = study.cost.of(whole)
     expect(isinstance(cost, float) and np.isfinite(cost), "cost.of", "a finite number", cost)
+    again = study.cost.of(whole)
+    expect(again == cost, "cost.of", f"{cost} of the same rollout again", again)
 
     def of(states: Array, inputs: Array) -> float:
         return study.cost.of(replace(whole, states=states, inputs=inputs))
 
     expect_arguments_left(of, "cost.of", whole.states, whole.inputs)
+    if study.cost.reductions:  # of many rollouts at once
+        t = study.cost.time_step * np.arange(1.0, POINTS + 1)[:, None]
+
+        def terms(x: Array, u: Array, t: Array) -> Array:
+            return study.cost.terms(x, u, t[..., 0])
+
+        expect_any_leading_axes(terms, "cost.terms", states(study), inputs(study), t)
 
 
 @check("cost", "who falls early pays more than Z_max")
@@ -100,5 +134,6 @@ def _evaluation_is_deterministic(study: Study) -> None:
     costs = np.array([objective(theta) for theta in thetas])
     expect(np.isfinite(costs).all(), "objective", "finite costs", costs)
     equal([same(theta) for theta in thetas], costs, "objective", "the same from the same generator", 0.0)
+    equal(objective(thetas[0]), costs[0], "objective", "the same when it is asked again", 0.0)
     if hasattr(objective, "together"):
         equal(objective.together(thetas), costs, "objective.together", "the costs of each alone", 0.0)

@@ -2,19 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from simbias.core import Nominal
 from simbias.core.records import Rollout
 from simbias.testing.expectations import check, equal, expect, inputs, robot_states, rollout
 from simbias.trial.study import Study
 from simbias.trial.warm_up import SECONDS, warm_up
 
 
+def _fitted(study: Study, rollouts: Sequence[Rollout]) -> Nominal:
+    """The model as identified; the nominal one is left as it is."""
+    nominal, x, u = study.nominal, robot_states(study), inputs(study)
+    parameters, x_next = nominal.parameters, nominal.step(x, u)
+    fitted = study.identification.fit(nominal, rollouts)
+    expect(isinstance(fitted, Nominal), "fit", "a nominal model", fitted)
+    expect(nominal.parameters == parameters, "fit", "the nominal model's parameters to be left", parameters)
+    equal(nominal.step(x, u), x_next, "fit", "the nominal model to be left as it is", 0.0)
+    return fitted
+
+
 @check("identification", "without rollouts, the model itself, maybe with motors and sensors of its own")
 def _without_rollouts(study: Study) -> None:
-    fitted = study.identification.fit(study.nominal, [])
+    fitted, x, u = _fitted(study, []), robot_states(study), inputs(study)
     kept = {each.name for each in study.nominal.parameters} <= {each.name for each in fitted.parameters}
     expect(kept, "fit", "a model with the nominal model's parameters without rollouts", fitted)
+    if not fitted.estimates:  # else it is one that is known from earlier recordings
+        expected = "the nominal model's steps without rollouts"
+        equal(fitted.step(x, u), study.nominal.step(x, u), "fit", expected)
 
 
 @check("identification", "finite predictions of a robot that moves and of one at rest, and draws of them")
@@ -25,7 +42,7 @@ def _fits_motion_and_rest(study: Study) -> None:
     moving = whole.part(0, frames)
     rest = Rollout(np.tile(whole.states[0], (frames + 1, 1)), np.zeros_like(moving.inputs))
     for recorded in (moving, rest):
-        fitted = study.identification.fit(study.nominal, [recorded])
+        fitted = _fitted(study, [recorded])
         x_next = fitted.step(x, u)
         expect(np.isfinite(x_next).all(), "fit", "a model of finite predictions", x_next)
         one, same = (fitted.draw(np.random.default_rng(3)).step(x, u) for _ in range(2))

@@ -1,7 +1,7 @@
 """What is found before a trial begins: robots at rest, boxes without zero, costs of one horizon only."""
 
 import ctypes
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import replace
 from typing import Any
@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from conftest import OWN_CONF, POINT_MASS
 from pendulum import pendulum
-from point_mass import Distance, Spring, WithoutWind
+from point_mass import Distance, EveryFifth, Spring, WithoutWind
 
 import simbias
-from simbias.core import Bias, Cost, Evaluation, FittedBias, Model, Nominal, Policy
+from simbias.core import Bias, Cost, Evaluation, FittedBias, Identification, Model, Nominal, Policy
 from simbias.core.parameters import Parameter
-from simbias.core.records import Array, Rollout, Transitions
+from simbias.core.records import Array, Rollout, Selection, Transitions
 from simbias.testing.conformance import verdicts
 from simbias.testing.expectations import ConformanceError, expect_arguments_left, rollout
 from simbias.trial.study import Study
@@ -101,6 +101,83 @@ class Unlimited(Spring):
         return -0.5 * theta[..., :1] * x[..., :1], policy_state  # below its limit near the start
 
 
+class WindsUp(Spring):
+    """Adds an integral to what is within its limits."""
+
+    state_size = 1
+
+    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
+        return super().act(theta, x, t, policy_state)[0] + policy_state, policy_state + x[..., :1]
+
+
+class Mixes(Spring):
+    """Lets rollouts that run together share their mean memory."""
+
+    state_size = 1
+
+    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
+        shared = np.mean(policy_state, axis=tuple(range(x.ndim - 1)), keepdims=True)
+        return super().act(theta, x, t, policy_state)[0], 0.0 * policy_state + shared + x[..., :1]
+
+
+class Fits(Identification):
+    def __init__(self, fit: Callable[[Any, Sequence[Rollout]], Any]) -> None:
+        self._fit = fit
+
+    def fit(self, nominal: Nominal, rollouts: Sequence[Rollout]) -> Nominal:
+        return self._fit(nominal, rollouts)
+
+
+def twice_as_heavy(nominal: Any, rollouts: Sequence[Rollout]) -> Any:
+    other = copy(nominal)
+    other._mass *= 2.0
+    return other
+
+
+def heavier(nominal: Any, rollouts: Sequence[Rollout]) -> Any:
+    if rollouts:
+        nominal._mass *= 1.5
+    return nominal
+
+
+class Picks(EveryFifth):
+    """Residuals of the row before, or none: the next states."""
+
+    def __init__(self, residuals: Callable[[Transitions], Array]) -> None:
+        self._residuals = residuals
+
+    def select(self, rollouts: Sequence[Rollout], nominal: Nominal) -> Selection:
+        selection = super().select(rollouts, nominal)
+        data = selection.transitions
+        return replace(selection, transitions=Transitions(data.inputs, self._residuals(data)))
+
+
+class Remembers(Distance):
+    seen = 0
+
+    def of(self, rollout: Rollout) -> float:
+        self.seen += 1
+        return super().of(rollout) + self.seen
+
+
+class Jerk(Cost):
+    """Keeps the last input where it is asked for one frame after the other, or for many."""
+
+    max_cost, horizon, time_step, reductions, last = 1.0, 100, 0.02, ("sum",), 0.0
+
+    def terms(self, x_next: Array, u: Array, t: Any) -> Array:
+        jump, self.last = np.abs(u[..., :1] - self.last), u[..., :1]
+        return jump
+
+    def of_totals(self, totals: Array, lost: Any) -> Array:
+        return totals[..., 0] + 100.0 * lost
+
+
+class DrawsAgain(Evaluation):
+    def objective(self, model: Model, cost: Cost, rng: np.random.Generator) -> Any:
+        return lambda theta: rng.random()
+
+
 class Clips(Distance):
     def of(self, rollout: Rollout) -> float:
         np.clip(rollout.states, -10.0, 10.0, out=rollout.states)
@@ -132,6 +209,8 @@ class Zero(WithoutWind):
     [
         ("policy", WritesInto, "WritesInto.act: expected its arguments to be left as they are"),
         ("policy", Unlimited, "Unlimited.act: expected inputs within [-5.] and [5.]"),
+        ("policy", WindsUp, "WindsUp.act: expected inputs within [-5.] and [5.], got [["),
+        ("policy", Mixes, "Mixes.act: expected for several points what it gives for each"),
         ("cost", Clips, "Clips.of: expected its arguments to be left as they are"),
         ("nominal", Parametrised, "Parametrised.with_parameters: expected the model itself"),
         ("nominal", Twins, "Twins.parameters: expected different names, got ['mass', 'mass']"),
@@ -141,6 +220,35 @@ class Zero(WithoutWind):
 def test_what_breaks_a_contract_is_told(point_mass: Study, group: str, component: type, problem: str) -> None:
     own = component() if group == "cost" else component(point_mass.task)
     first, *_ = problems(replace(point_mass, **{group: own}), group)
+    assert first.startswith(problem)
+
+
+@pytest.mark.parametrize(
+    ("group", "own", "problem"),
+    [
+        (
+            "identification",
+            Fits(lambda nominal, rollouts: None),
+            "Fits.fit: expected a nominal model, got None",
+        ),
+        ("identification", Fits(twice_as_heavy), "Fits.fit: expected the nominal model's steps without"),
+        ("identification", Fits(heavier), "Fits.fit: expected the nominal model to be left as it is"),
+        (
+            "samples",
+            Picks(lambda data: data.residuals + 1.0),
+            "Picks.select: expected residuals x_next - step",
+        ),
+        ("samples", Picks(lambda data: np.roll(data.residuals, 1)), "Picks.select: expected residuals"),
+        ("cost", Remembers(), "Remembers.of: expected 2.49993"),
+        ("cost", Jerk(), "Jerk.terms: expected the same shape for each point"),
+        ("evaluation", DrawsAgain(), "DrawsAgain.objective: expected the same when it is asked again"),
+    ],
+)
+def test_what_remembers_or_gives_something_else_is_told(
+    point_mass: Study, group: str, own: Any, problem: str
+) -> None:
+    own_nominal = copy(point_mass.nominal)  # which one of them changes
+    first, *_ = problems(replace(point_mass, nominal=own_nominal, **{group: own}), group)
     assert first.startswith(problem)
 
 
