@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 
 from simbias.core import Task
-from simbias.core.records import Array
+from simbias.core.records import Array, Indices
 from simbias.simulation.compiler.symbols import TraceError
 
 ROWS = 32  # of points
 AGREEMENT = 1e-9  # relative, between a traced kernel and the method
 FRAMES = 100  # over which a policy with a state is held against its kernel
+OTHERWISE = "what was written down gives other numbers"
+MIXED = "for several rollouts at once it gives other numbers than for each"
 FARTHEST = 1e3  # state from which a policy begins anew there: of larger angles, sines are those of rounding
 
 Points = Callable[[], tuple[Array, Array]]  # draws states (ROWS, n) and inputs (ROWS, m)
@@ -50,7 +52,7 @@ def compare(method: Callable, arguments: Sequence[Array], made: Sequence[Sequenc
     first, again = (method(*(each.copy() for each in arguments)) for _ in range(2))
     if len(made) == 1:
         first, again = (first,), (again,)
-    for one, other, values in zip(first, again, made, strict=True):
+    for index, (one, other, values) in enumerate(zip(first, again, made, strict=True)):
         expected = np.asarray(one, np.float64)
         if not np.array_equal(expected, other, equal_nan=True):
             raise TraceError("it gives other numbers when it is asked again")
@@ -59,14 +61,18 @@ def compare(method: Callable, arguments: Sequence[Array], made: Sequence[Sequenc
             raise TraceError(f"of {ROWS} rows it gives the shape {expected.shape}, not {traced.shape}")
         if not np.isfinite(expected).all(axis=1).sum() >= ROWS // 2:
             raise TraceError("it gives what is not finite at most states near the start")
-        _expect_equal(traced, expected)
+        if len(wrong := _unlike(traced, expected)):
+            row = slice(wrong[0], wrong[0] + 1)
+            alone = method(*(each[row].copy() for each in arguments))
+            alone = np.asarray(alone if len(made) == 1 else alone[index], np.float64)
+            raise TraceError(OTHERWISE if len(_unlike(traced[row], alone)) else MIXED)
 
 
-def _expect_equal(traced: Array, expected: Array) -> None:
-    """Raise unless rows (ROWS, r) agree."""
+def _unlike(traced: Array, expected: Array) -> Indices:
+    """Those of the rows (k, r) that do not agree."""
     size = np.max(np.abs(expected), axis=0, initial=0.0, where=np.isfinite(expected))
-    if not np.isclose(traced, expected, AGREEMENT, 1e-3 * AGREEMENT * size, equal_nan=True).all():
-        raise TraceError("what was written down gives other numbers")
+    close = np.isclose(traced, expected, AGREEMENT, 1e-3 * AGREEMENT * size, equal_nan=True)
+    return np.flatnonzero(~close.all(axis=1))
 
 
 def compare_frames(act: Callable, traced: Callable, x: Array, state_size: int) -> None:
@@ -80,7 +86,8 @@ def compare_frames(act: Callable, traced: Callable, x: Array, state_size: int) -
         now = x[rng.permutation(ROWS)], 0.01 * frame, state
         u, state = act(*now)
         for values, expected in zip(traced(*now), (u, state), strict=True):
-            _expect_equal(rows(values), np.asarray(expected, np.float64))
+            if len(_unlike(rows(values), np.asarray(expected, np.float64))):
+                raise TraceError(OTHERWISE)
         state = np.where((np.abs(state) < FARTHEST).all(axis=1, keepdims=True), state, 0.0)
 
 
