@@ -12,7 +12,7 @@ from typing import Any, final
 import numpy as np
 
 from simbias.core import Hardware, HardwareError, Policy, Task, Waiting
-from simbias.core.messages import brief, quote, words
+from simbias.core.messages import brief, counted, quote, words
 from simbias.core.ranges import Seconds
 from simbias.core.records import Array, Rollout
 from simbias.lab.requests.program import END_SECONDS, MOST_OUTPUT, Program, alone, note
@@ -143,17 +143,15 @@ class Process(Hardware):
 
 def _rows(given: Any, name: str, columns: int) -> Array:
     """Rows (r, columns) of finite numbers."""
-    try:
-        table = np.array(given) if given != [] else np.empty((0, columns))
-    except (TypeError, ValueError, OverflowError):
-        table = np.array(None)
-    if table.dtype.kind not in "if":
+    if not isinstance(given, list):
         raise HardwareError(f"{name}: expected rows of {columns} numbers, got {quote(given)}")
-    if table.ndim != 2 or table.shape[1] != columns:
-        raise HardwareError(f"{name}: expected rows of {columns} numbers, got the shape {table.shape}")
-    broken = np.flatnonzero(~np.isfinite(table).all(axis=1))
-    if len(broken):
-        raise HardwareError(
-            f"{name}: row {broken[0] + 1}: expected finite numbers, got {quote(table[broken[0]].tolist())}"
-        )
-    return table.astype(np.float64)
+    for place, row in enumerate(given, 1):
+        if not (isinstance(row, list) and len(row) == columns and all(map(_is_finite, row))):
+            expected = counted(columns, "finite number")
+            raise HardwareError(f"{name}: row {place}: expected {expected}, got {quote(row)}")
+    return np.array(given, np.float64).reshape(-1, columns)
+
+
+def _is_finite(value: Any) -> bool:
+    """Whether a value of an answer is a number, and no larger than floats are."""
+    return type(value) in (int, float) and abs(value) <= sys.float_info.max
