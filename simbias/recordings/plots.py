@@ -19,7 +19,6 @@ from simbias.pictures.elements.style import (
     SMALL,
     literal,
     logarithmic,
-    logarithmic_between,
     plain,
     with_unit,
 )
@@ -114,7 +113,7 @@ def errors(assessment: Assessment) -> Figure:
         axes.set_xlabel("horizon (s)")
         logarithmic(axes.xaxis)
         if np.nanmin(both[:, :, i]) > 0:
-            logarithmic_between(axes.yaxis, np.nanmin(both[:, :, i]), np.nanmax(both[:, :, i]))
+            logarithmic(axes.yaxis)
         axes.set_xticks([0.1, 1.0], ["0.1", "1"])
         plain(axes)
     legend(figure, {"nominal model": _line(NOMINAL), "identified model": _line(SIMULATION)})

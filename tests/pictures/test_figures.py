@@ -20,7 +20,7 @@ from simbias.pictures.elements.style import (
     HARDWARE,
     NOMINAL,
     SIMULATION,
-    logarithmic_between,
+    logarithmic,
     png,
     symbol,
     with_power,
@@ -226,9 +226,9 @@ def test_what_a_trial_lacks_is_not_shown(
 def test_numbers_of_logarithmic_axes() -> None:
     """Between decades where there are few of them, and with powers of ten far from 1."""
     assert [with_power(each) for each in (1e-6, 3e-10, 200.0)] == ["10⁻⁶", "3·10⁻¹⁰", "2·10²"]
-    for low, high, least in ((0.5, 1.2, 3), (1e-6, 9e-6, 3), (0.02, 2.0, 4), (1e-8, 1e-3, 3)):
+    for low, high, least in ((0.5, 1.2, 3), (1e-6, 9e-6, 3), (0.02, 2.0, 4), (1e-8, 1e-3, 3), (2.1, 8.5, 2)):
         axis = Figure().add_subplot()
-        logarithmic_between(axis.yaxis, low, high)
+        logarithmic(axis.yaxis)
         axis.set_ylim(low, high)
         ticks = axis.yaxis.get_major_locator()()
         assert sum(low <= tick <= high for tick in ticks) >= least

@@ -7,9 +7,10 @@ import re
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -30,7 +31,7 @@ MARKERS = ("o", "s", "D", "^", "v", "P", "X", "<", ">", "p", "h")
 GREEK = ("alpha", "beta", "gamma", "delta", "theta", "phi", "psi", "omega")
 LIMIT, BEYOND = "0.35", "0.92"  # greys
 SMALL = 8.5  # points
-TICKS = {4.0: (1, 1.5, 2, 3, 4, 5, 7), 20.0: (1, 2, 5), 200.0: (1, 3)}  # by largest over smallest value
+TICKS = {4.0: (1, 1.5, 2, 3, 4, 5, 7), 20.0: (1, 2, 3, 5), 200.0: (1, 3)}  # by upper over lower limit
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 FAR = 3  # decades from 1, beyond which an axis' numbers are told with their powers of ten
 LINE_OF_TEXT = 0.13  # of the height of axes, at most
@@ -111,25 +112,27 @@ def shade_beyond(axes: Axes, limit: float, words: str, side: Literal["left", "ri
 
 
 def logarithmic(*all_axis: Axis) -> None:
-    """Scale axes logarithmically; a tick for each decade, as minor ones take most of a figure's time."""
+    """Scale axes logarithmically; ticks are at decades and, where few of them are in view, between.
+
+    None is a minor one, as these take most of a figure's time.
+    """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    class Ticks(LogLocator):
+        def tick_values(self, vmin: float, vmax: float) -> Any:
+            subs = (subs for most, subs in TICKS.items() if vmax < most * vmin)
+            self.set_params(subs=next(subs, (1,)))
+            return super().tick_values(vmin, vmax)
+
+    def number(axis: Axis, value: float, _: int | None) -> str:
+        low, high = axis.get_view_interval()
+        return f"{value:g}" if low >= 10.0**-FAR and high <= 10.0**FAR else with_power(value)
 
     for axis in all_axis:
         axis.axes.set(**{f"{axis.axis_name}scale": "log"})  # type: ignore[attr-defined]
-        axis.set_major_locator(LogLocator(numticks=8))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: with_power(value)))
+        axis.set_major_locator(Ticks(numticks=8))
+        axis.set_major_formatter(FuncFormatter(partial(number, axis)))
         axis.set_minor_locator(NullLocator())
-
-
-def logarithmic_between(axis: Axis, low: float, high: float) -> None:
-    """Scale an axis logarithmically, with ticks between decades where positive values are in few of them."""
-    from matplotlib.ticker import FuncFormatter, LogLocator
-
-    logarithmic(axis)
-    if subs := next((subs for most, subs in TICKS.items() if high < most * low), None):
-        axis.set_major_locator(LogLocator(subs=subs))
-    far = low < 10.0**-FAR or high > 10.0**FAR
-    axis.set_major_formatter(FuncFormatter(lambda value, _: with_power(value) if far else f"{value:g}"))
 
 
 def with_power(value: float) -> str:

@@ -21,7 +21,7 @@ from simbias.pictures.elements.style import (
     SIMULATION,
     SMALL,
     SeriesStyle,
-    logarithmic_between,
+    logarithmic,
     plain,
     seconds,
     symbol,
@@ -151,7 +151,7 @@ def _share_scale(row: Sequence[Axes]) -> None:
     low, high = min(axes.dataLim.minposy for axes in row), max(axes.dataLim.y1 for axes in row)
     for axes in row:
         if low <= high:
-            logarithmic_between(axes.yaxis, low, high)
+            logarithmic(axes.yaxis)
             axes.set_ylim(low / 1.5, high * 1.5)
         whole_numbers(axes.xaxis)
         plain(axes)
