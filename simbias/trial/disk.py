@@ -78,7 +78,7 @@ def write_whole(path: Path, content: bytes) -> None:
     """Write a file that is there in whole or not at all, and survives a power failure once this returns."""
     part = _part(path)
     part.touch()
-    with part.open("r+b") as file:  # in the room that may be taken already
+    with _named(path), part.open("r+b") as file:  # in the room that may be taken already
         file.write(content)
         file.truncate()
         file.flush()
@@ -95,10 +95,21 @@ def room_for(path: Path, size: int) -> Iterator[None]:
     """Take room for a file of at most `size` bytes: an OSError comes now, and none from `write_whole`."""
     part = _part(path)
     try:
-        part.write_bytes(bytes(size))
+        with _named(path):
+            part.write_bytes(bytes(size))
         yield
     finally:
         part.unlink(missing_ok=True)
+
+
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Errors of the system, as that of a full disk, name the folder of the file that is written."""
+    try:
+        yield
+    except OSError as error:
+        error.filename = error.filename or str(path.parent)
+        raise
 
 
 def _part(path: Path) -> Path:
@@ -108,7 +119,7 @@ def _part(path: Path) -> Path:
 
 def append_line(path: Path, line: Mapping[str, Any]) -> None:
     """Append a line of JSON to a file, on disk when this returns; one that a kill cut off stays apart."""
-    with require_file(path).open("a+b") as file:
+    with _named(path), require_file(path).open("a+b") as file:
         file.seek(0, os.SEEK_END)
         if file.tell():
             file.seek(-1, os.SEEK_END)

@@ -400,7 +400,8 @@ def test_no_experiment_is_made_that_could_not_be_kept(
         record = run_trial(study, tmp_path)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    assert (record.outcome, record.summary.reason) == (Outcome.ERROR, "OSError: [Errno 27] File too large")
+    reason = f"OSError: [Errno 27] File too large: {str(tmp_path)!r}"
+    assert (record.outcome, record.summary.reason) == (Outcome.ERROR, reason)
     assert log == []
     assert not list(tmp_path.glob("*_experiment*"))
     spare = []
@@ -422,13 +423,13 @@ def test_a_folder_that_cannot_be_written_is_one_line(
     """And a file is there in whole, or as it was."""
 
     def fail(file: int) -> None:
-        raise OSError("disk full")
+        raise OSError(28, "disk full")
 
     path = tmp_path / "file"
     write_whole(path, b"old")
     with monkeypatch.context() as patch:
         patch.setattr("os.fsync", fail)
-        with pytest.raises(OSError, match="disk full"):
+        with pytest.raises(OSError, match=f"disk full: {str(tmp_path)!r}"):
             write_whole(path, b"new")
     assert path.read_bytes() == b"old"
     with pytest.raises(ConfigError, match=r"file.*cannot be written"):
