@@ -22,6 +22,14 @@ def find(name: str, folders: Sequence[str]) -> str:
     return str(next(filter(Path.exists, found), name))
 
 
+def sought(name: str) -> str:
+    """Where a file of a relative name was looked for in vain, in words that end a message on it."""
+    if Path(name).is_absolute():
+        return ""
+    places = f"neither in {Path.cwd()} nor in a folder of configs or beside it"
+    return f", {places}; give --config-dir (config_dir=) if the trial was run with it"
+
+
 def _places(folder: Path) -> Iterator[Path]:
     """A folder of configs and the one that it lies in: here, or where a cluster's worker has its copy."""
     homes = [folder.parent] if folder.is_dir() else map(Path, sys.path)

@@ -300,7 +300,7 @@ def test_what_cannot_be_meant_is_refused() -> None:
         ),
         ({"pushes": {"torque": PULSES}}, "pushes: no input is called torque; there is force"),
         ({"pushes": {"force": PULSES | {"amplitude": [-1, 1]}}}, r"expected 0 <= least <= most, got \[-1, 1"),
-        ({"reference": "none.csv"}, "reference 'none.csv': .*No such file"),
+        ({"reference": "none.csv"}, "reference 'none.csv': .*No such file.* neither in .* --config-dir"),
     ]
     for changes, message in cases:
         with one_line(message):

@@ -372,7 +372,8 @@ def test_a_tendons_limit_is_that_of_its_motor(tmp_path: Path) -> None:
 
 def test_a_bad_file_is_one_line(tmp_path: Path) -> None:
     cases: list[tuple[dict[str, Any], str]] = [
-        ({"file": "no.xml"}, "no such file: no.xml"),
+        ({"file": "no.xml"}, f"no such file: no.xml, neither in {Path.cwd()} nor .*; give --config-dir"),
+        ({"file": str(tmp_path / "no.xml")}, "no such file: .*/no.xml$"),
         ({"file": "nosuchpackage:a.xml"}, "the package nosuchpackage is not installed"),
         (
             {"file": DOUBLE},

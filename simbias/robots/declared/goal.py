@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from simbias.core import Criterion, Quantity, SlowWarning
+from simbias.core.files import sought
 from simbias.core.messages import quote
 from simbias.core.records import Array
 from simbias.robots.declared.declarations import Failure, criterion_of
@@ -76,7 +77,8 @@ def _rows(file: str, seconds: float) -> tuple[tuple[str, ...], Array, Array]:
         with Path(file).open(newline="", encoding="utf-8") as stream:
             (_, header), *rows = [(i, row) for i, row in enumerate(csv.reader(stream), 1) if any(row)]
     except (OSError, ValueError) as error:
-        raise ValueError(f"reference {quote(file)}: {error}") from error
+        where = sought(file) if isinstance(error, FileNotFoundError) else ""
+        raise ValueError(f"reference {quote(file)}: {error}{where}") from error
     if header[0] != TIME or len(header) < 2 or len(set(header)) < len(header) or not rows:
         raise ValueError(
             f"reference {quote(file)}: expected rows of t and of the goal's quantities, with commas between, "

@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from simbias.core.files import sought
 from simbias.core.messages import quote, words
 from simbias.robots.mujoco.parameters import mujoco
 
@@ -47,7 +48,7 @@ def read_model(file: str, actuators: Sequence[str] = ()) -> Any:
     """
     path = _path(file)
     if not path.is_file():
-        raise ValueError(f"no such file: {path}")
+        raise ValueError(f"no such file: {path}{sought(str(path))}")
     try:
         return _spec(path, actuators).compile()
     except Exception as error:  # MuJoCo's, of many types
