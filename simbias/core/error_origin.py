@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from simbias import core
-from simbias.core.messages import with_type
+from simbias.core.errors import ConfigError
+from simbias.core.messages import with_type, words
 
 CONTRACTS = (
     *(core.Task, core.Nominal, core.Hardware, core.Policy, core.Samples, core.Cost),
@@ -31,7 +32,7 @@ def told(error: BaseException) -> str:
         if isinstance(component, CONTRACTS) and is_own(component) and component is not blamed:
             blamed, source = component, f"{type(component).__name__}.{code.co_name}"
     if not source or isinstance(error, core.HardwareError):
-        return with_type(error)
+        return words(error) if isinstance(error, ConfigError) else with_type(error)
     return f"{source}: expected a result, got {with_type(error)} ({place})"
 
 

@@ -14,7 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from simbias.config import Composition, ConfigError
 from simbias.config.build import build, service
 from simbias.core import Model, Policy
-from simbias.core.commands import FAILED, SUCCEEDED, WAITING
+from simbias.core.commands import BAD_INPUT, FAILED, SUCCEEDED, WAITING
 from simbias.core.messages import brief, counted, with_type
 from simbias.core.records import Array, Iteration, Rollout, Search
 from simbias.engine.contract import Engine
@@ -75,6 +75,9 @@ def _run_study(study: Study, store: Tracking, again: str) -> int:
         console.conclude(record, export.where, replayed)
         return SUCCEEDED if summary.outcome is Outcome.SUCCEEDED else FAILED
     kept = f"{counted(summary.experiments, 'hardware experiment')} kept" if folder else "nothing is kept"
+    if summary.outcome is Outcome.ERROR and not record.traceback:  # a key or a file, which the reason names
+        print(f"simbias: {summary.reason} ({kept})", file=sys.stderr)
+        return BAD_INPUT
     trace = f"; traceback in {file}" if (file := traceback_file(summary, record.traceback)) else ""
     print(f"simbias: {summary.reason} ({kept}{trace}; resume with:  {again})", file=sys.stderr)
     return WAITING if summary.outcome is Outcome.WAITING else FAILED

@@ -12,7 +12,7 @@ from pathlib import Path
 from threadpoolctl import threadpool_limits
 
 from simbias.core import Controller, Waiting, platform
-from simbias.core.error_origin import told
+from simbias.core.error_origin import has_own_code, told
 from simbias.core.errors import ConfigError
 from simbias.core.messages import with_trace, with_type, words
 from simbias.core.records import Iteration, Rollout
@@ -40,7 +40,7 @@ class TrialRecord:
     iterations: tuple[Iteration, ...]  # those that have ended
     unfinished: tuple[Rollout, ...] = ()  # experiments of an iteration that has not
     policy_test: PolicyTestResult | None = None  # of the last policy, if one was asked for
-    traceback: str = ""
+    traceback: str = ""  # none of a bad key or file, which the reason names
     withdrawn: tuple[Withdrawal, ...] = ()  # experiments that a person withdrew
 
     @property
@@ -116,7 +116,8 @@ def run_trial(study: Study, folder: Path | None = None, observer: Observer | Non
                 raise ConfigError(
                     str(kept.folder.path / TRIAL), f"cannot be read ({with_type(error)})"
                 ) from error
-            record = run.record(Outcome.ERROR, f"{run.episode}{told(error)}", with_trace(error))
+            trace = "" if isinstance(error, ConfigError) and not has_own_code(error) else with_trace(error)
+            record = run.record(Outcome.ERROR, f"{run.episode}{told(error)}", trace)
         return run.stop(record)
 
 

@@ -181,7 +181,7 @@ def test_to_a_goal_that_moves_one_plan_begins_at_rest(monkeypatch: pytest.Monkey
     begun = list[np.random.Generator | None]()
     monkeypatch.setattr(Shooting, "plan", lambda self, rng: begun.append(rng))
     moving = simbias.load(["preset=arm_eight", "tracking=none"])
-    with pytest.raises(ConfigError, match="the model fails whatever inputs"):
+    with pytest.raises(ConfigError, match=r"the model fails from its start \(.*\) whatever inputs"):
         next(trajectory_candidates([moving.first_model()], 3))
     assert begun == [None]
 
@@ -222,7 +222,7 @@ def test_where_a_correction_lets_no_plan_exist_it_is_of_the_model_without(
     monkeypatch.setattr(ilqr, "ITERATIONS", 2)
     model = cartpole.first_model()
     wrecked = replace(model, bias=ConstantBias(np.full(4, 10.0), np.zeros(4)))
-    with pytest.raises(ConfigError, match=r"the model fails whatever inputs.*: force from -10 to 10 N"):
+    with pytest.raises(ConfigError, match=r"the model fails from its start.*: force from -10 to 10 N"):
         next(trajectory_candidates([wrecked], 1))
     (first, second) = (list(trajectory_candidates(models, 1)) for models in ([wrecked, model], [model]))
     np.testing.assert_array_equal(first, second)

@@ -101,6 +101,18 @@ def test_an_error_of_the_system_is_one_line_without_a_file_too(
 
 
 @pytest.mark.usefixtures("uncompiled")
+def test_bad_input_that_a_planner_finds_exits_2_too(line: Any) -> None:
+    """By a line without a type, a traceback and a command that would stop so again."""
+    quick = ["preset=cartpole_trajectory", "task.horizon=20", "task.hold=0.1", "policy.knots=11"]
+    status, _, err = line(*quick, "+task.states.d_position.mean=100", *FOLDERS)
+    *_, said = err.splitlines()  # after those on the compilation
+    start = "(angle 3.14159 rad, d_position 100 m/s)"
+    assert status == 2
+    assert said.startswith(f"simbias: method.trajectories: the model fails from its start {start} whatever ")
+    assert said.endswith(" from -10 to 10 N (0 hardware experiments kept)")
+
+
+@pytest.mark.usefixtures("uncompiled")
 def test_own_components_run(line: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Options may stand anywhere, also before a command, and `run` is the command that is meant."""
     own = ["--config-dir", str(OWN_CONF)]

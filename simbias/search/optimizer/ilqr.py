@@ -72,7 +72,9 @@ def trajectory_candidates(
             return
     limits = zip(task.inputs, *task.input_bounds, strict=True)
     inputs = ", ".join(f"{each.name} from {least:g} to {most:g} {each.unit}" for each, least, most in limits)
-    problem = f"the model fails whatever inputs a trajectory begins with: {inputs}"
+    means = zip(task.states, task.start_mean, strict=True)
+    start = ", ".join(f"{each.name} {mean:g} {each.unit}" for each, mean in means if mean) or "all states 0"
+    problem = f"the model fails from its start ({start}) whatever inputs a trajectory begins with: {inputs}"
     raise ConfigError("method.trajectories", problem)
 
 
