@@ -84,11 +84,11 @@ def _run_study(study: Study, store: Tracking, again: str) -> int:
 
 
 def _ended(folder: TrialFolder) -> bool:
-    """Whether a trial has ended; an outcome that cannot be read is told, as it follows from the steps."""
+    """Whether a trial has ended; one that cannot be read is told, as it is made anew."""
     try:
         folder.summary()
     except ConfigError as error:
-        print(f"simbias: {error}; it is made again from the steps", file=sys.stderr)
+        print(f"simbias: {error}", file=sys.stderr)
     return folder.ended
 
 

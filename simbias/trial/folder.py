@@ -39,6 +39,7 @@ SEARCH, EXPERIMENT, ITERATION = "search.json", "experiment.npz", "iteration.json
 EPISODE = "test_episode.npz"
 STEP = re.compile(rf"[0-9]{{4,}}_({'|'.join(map(re.escape, (SEARCH, EXPERIMENT, ITERATION, EPISODE)))})")
 PICTURES = "pictures"
+REMEDY = "Run again, its trial makes it from the steps"  # what mends an outcome that cannot be read
 LOCK_SECONDS = 5.0  # that a worker in place of a killed one waits until the system has let go of its lock
 
 
@@ -76,7 +77,8 @@ class TrialFolder:
     def ended(self) -> bool:
         """Whether the trial has ended; else it runs, or can be resumed.
 
-        An outcome that somebody damaged is none: it follows from the steps. Nor is one beside such a config.
+        An outcome that somebody damaged is none: run again, the trial makes it from its steps. Nor is one
+        beside such a config.
         """
         with suppress(ConfigError):
             summary = self.summary()
@@ -91,15 +93,16 @@ class TrialFolder:
         ConfigError
             If it cannot be read.
         """
-        file = self.numbered(OUTCOME)
-        if file.exists():
-            content: Any = read_json(file)
-        else:
+        file, content = self.numbered(OUTCOME), None
+        if not file.exists():
             file, content = self.path / ATTEMPTS, next(iter(self.attempts()[-1:]), {}).get("stopped")
+            if content is None:
+                return None
         try:
-            return None if content is None else TrialSummary.from_json(content)
-        except (AttributeError, ValueError) as error:
-            raise ConfigError(str(file), f"cannot be read ({words(error)})") from error
+            return TrialSummary.from_json(read_json(file) if content is None else content)
+        except (AttributeError, TypeError, ValueError) as error:
+            problem = error.problem if isinstance(error, ConfigError) else f"cannot be read ({words(error)})"
+            raise ConfigError(str(file), f"{problem}. {REMEDY}") from error
 
     def attempts(self) -> list[dict[str, Any]]:
         """The lines of attempts.jsonl; one that a kill cut off is left out."""

@@ -223,6 +223,23 @@ class FolderRecord(Record):
         else:
             append_line(self.folder.path / ATTEMPTS, {"stopped": summary.as_json()})
 
+    def summary(self, replayed: TrialSummary) -> TrialSummary | None:
+        """How the trial ended or stopped, as the folder has it.
+
+        Raises
+        ------
+        ConfigError
+            If it cannot be read, or the trial ended with other counts than its steps, as replayed, have.
+        """
+        summary = self.folder.summary()
+        if summary is not None and summary.outcome.final:
+            said, made = ((each.experiments, each.iterations) for each in (summary, replayed))
+            if said != made:
+                problem = "has {} experiments and {} iterations, its steps {} and {}".format(*said, *made)
+                remedy = "Delete it; its trial, run again, makes it from the steps"
+                raise ConfigError(str(self.folder.numbered(OUTCOME)), f"{problem}. {remedy}")
+        return summary
+
     def _replayed(self, *kinds: str) -> Path | None:
         """The next step, if there is one.
 

@@ -20,6 +20,7 @@ from simbias.lab.requests.request import ExperimentRequest
 from simbias.lab.safety import SafetyLimitedPolicy
 from simbias.trial import diagnostics
 from simbias.trial.claim import claim_of
+from simbias.trial.disk import LOCK, is_locked
 from simbias.trial.folder import TRIAL, Withdrawal
 from simbias.trial.observer import Observer, Observers
 from simbias.trial.policy_test import PolicyTestResult, episodes_csv, run_policy_test
@@ -127,7 +128,8 @@ def read_trial(study: Study, folder: Path) -> TrialRecord:
     Raises
     ------
     ConfigError
-        If a step cannot be read, or does not fit the study.
+        If a step cannot be read or does not fit the study, or the outcome counts other experiments or
+        iterations than there are.
     """
     kept = FolderRecord(folder, study)
     run = _Run(study, kept, Observer())
@@ -140,7 +142,17 @@ def read_trial(study: Study, folder: Path) -> TrialRecord:
             if kept.folder.ended:
                 raise
     record = run.record(Outcome.INTERRUPTED)
-    return replace(record, summary=kept.folder.summary() or record.summary)
+    if (summary := kept.summary(record.summary)) is None:  # it runs, or was killed
+        spent = sum(sum(each.seconds.values()) for each in record.iterations)
+        summary = replace(
+            record.summary,
+            outcome=Outcome.RUNNING if is_locked(folder / LOCK) else Outcome.INTERRUPTED,
+            ended=nan,
+            seconds=max(spent, kept.folder.seconds()),
+            platforms=tuple(kept.folder.platforms()),
+            processor="",
+        )
+    return replace(record, summary=summary)
 
 
 class _Run(Observer):
@@ -201,7 +213,7 @@ class _Run(Observer):
             if record.traceback:
                 summary = replace(summary, traceback_file=self._kept.traceback(record.traceback))
             self._kept.stop(summary, episodes_csv(test, self._study.task) if test else None)
-            record = replace(record, summary=self._kept.folder.summary() or summary)
+            record = replace(record, summary=self._kept.summary(summary) or summary)
         return record
 
     def record(self, outcome: Outcome, reason: str = "", traceback: str = "") -> TrialRecord:

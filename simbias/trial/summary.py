@@ -10,7 +10,7 @@ from itertools import chain
 from math import isfinite, nan
 from typing import Any
 
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, ValidationError
 
 from simbias.core.messages import counted
 from simbias.core.records import Iteration, Learning
@@ -19,6 +19,10 @@ from simbias.trial.study import Study
 
 COLUMNS = (  # of a table of iterations
     *("iteration", "predicted cost", "hardware cost", "experiments", "samples", "seconds", "what happened"),
+)
+NUMBERS = (  # that every file has
+    *("experiments", "iterations", "max_experiments", "max_iterations"),
+    *("ended", "seconds", "hardware_seconds"),
 )
 PARAMETERS = ("parameter", "declared", "identified", "5%", "95%", "unit")  # of a table of them
 
@@ -30,6 +34,7 @@ class Outcome(StrEnum):
     NOT_SUCCEEDED = "not succeeded"
     WAITING = "waiting"  # for the result of an experiment; the same command resumes
     INTERRUPTED = "interrupted"  # likewise
+    RUNNING = "running"  # of a trial that is read while a process runs it; in no file
     ERROR = "error"  # likewise, once its cause is mended
 
     @property
@@ -58,8 +63,8 @@ class TrialSummary:
     iterations: int = 0  # finished so far
     max_experiments: int = 0  # that the method may make
     max_iterations: int = 0
-    ended: float = nan  # or stopped, s since the epoch
-    seconds: float = 0.0  # wall time, of all processes that ran it but those that were killed
+    ended: float = nan  # or stopped, s since the epoch; nan if it runs, or was killed
+    seconds: float = 0.0  # wall time, of all processes that ran it; of one killed, that of its iterations
     hardware_seconds: float = 0.0  # duration of the experiments
     test_episodes: str = ""  # of the last policy: 1 for each that counts as a success, 0 for each other
     lasting_episodes: str = ""  # likewise, 1 for each that lasts to its own end
@@ -126,9 +131,15 @@ class TrialSummary:
 
     @staticmethod
     def from_json(values: Mapping[str, Any]) -> TrialSummary:
-        """The summary, as `as_json` wrote it; a ValueError if a value is missing or of another kind."""
+        """The summary, as `as_json` wrote it; a ValueError if a number is missing, or a value of another kind."""
+        if lacking := [name for name in NUMBERS if name not in values]:
+            raise ValueError(f"lacks {', '.join(lacking)}")
         known = {name: nan if value is None else value for name, value in values.items()}
-        return _adapter().validate_python(known)
+        try:
+            return _adapter().validate_python(known)
+        except ValidationError as error:
+            first = error.errors()[0]
+            raise ValueError(f"{first['loc'][0]}: {first['msg']}") from None
 
 
 @cache

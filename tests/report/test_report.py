@@ -20,8 +20,10 @@ from simbias.mlflow.notes import note
 from simbias.pictures.trial.gallery import FIGURES
 from simbias.report.pages import sweep_page, trial_page, write_report
 from simbias.sweep.folder import SweepFolder
+from simbias.trial.disk import write_json
 from simbias.trial.folder import TrialFolder
 from simbias.trial.run import run_trial
+from simbias.trial.summary import Outcome, TrialSummary
 
 pytestmark = pytest.mark.usefixtures("uncompiled")
 
@@ -146,11 +148,11 @@ def test_claims_that_a_test_contradicts_are_counted(tmp_path: Path) -> None:
     trials = {"a": "0" * 16, "b": "1" * 16, "c": ""}
     for name, episodes in trials.items():
         (tmp_path / name).mkdir()
-        summary = {"outcome": "succeeded", "claim": "holds", "claimed_share": 0.8, "test_episodes": episodes}
-        (tmp_path / name / "outcome.json").write_text(json.dumps(summary))
+        claim = {"claim": "holds", "claimed_share": 0.8, "test_episodes": episodes}
+        write_json(tmp_path / name / "outcome.json", TrialSummary(Outcome.SUCCEEDED, **claim).as_json())
     folder = SweepFolder(tmp_path / "sweeps" / "mine")
     folder.begin({"name": "mine", "trials": dict.fromkeys(trials), "config": {}})
     html = sweep_page(folder)
     assert "the test of the last policy contradicts 1 of 2 (9% to 91%)" in html
-    (tmp_path / "c" / "outcome.json").write_text(json.dumps({"outcome": "error"}))
+    write_json(tmp_path / "c" / "outcome.json", TrialSummary(Outcome.ERROR).as_json())
     assert "succeeded 2 of 2 (34% to 100%). 1 trial raised an error and is left out." in sweep_page(folder)

@@ -6,9 +6,11 @@ import os
 import re
 import resource
 import shutil
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from io import StringIO
+from math import isnan
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +18,7 @@ import pandas as pd
 import pytest
 from conftest import OWN_CONF, POINT_MASS
 from errors import one_line
+from filelock import FileLock
 from hardware import counted
 from records import assert_equal, made, step_names, timeless
 from scripted import Guessing
@@ -159,8 +162,12 @@ def test_a_trial_that_was_killed_is_read_as_far_as_it_goes(
     names = step_names(whole[0])
     for lost in range(len(names) + 1):
         folder, left = cut(whole[0], tmp_path / str(lost), lost), names[: len(names) - lost]
-        record = read_trial(short, folder)
-        assert record.outcome is Outcome.INTERRUPTED
+        with FileLock(folder / LOCK) if lost % 2 else nullcontext():
+            record = read_trial(short, folder)
+        summary = record.summary
+        assert summary.outcome is (Outcome.RUNNING if lost % 2 else Outcome.INTERRUPTED)
+        assert summary.seconds == sum(sum(each.seconds.values()) for each in record.iterations)
+        assert isnan(summary.ended)
         assert_equal(record.iterations, whole[1].iterations[: left.count("iteration")])
         experiments = left.count("experiment")
         assert record.summary.experiments == experiments
@@ -182,7 +189,7 @@ def test_its_study_is_built_from_the_folder_too(tmp_path: Path) -> None:
 def test_what_cannot_be_read_is_one_line_that_names_the_file(
     short: Study, whole: Whole, tmp_path: Path
 ) -> None:
-    """Run again, a trial that ended says the same as read; only its outcome follows from its steps."""
+    """Run again, a trial that ended says the same as read; only its outcome is made from its steps."""
     folder, (iteration, *_, episode) = tmp_path / "trial", TrialFolder(whole[0]).steps()[11:]
     shutil.copytree(whole[0], folder)
     for name in (TRIAL, OUTCOME, "0000_search.json", "0001_experiment.npz", "0003_iteration.json"):
@@ -195,6 +202,15 @@ def test_what_cannot_be_read_is_one_line_that_names_the_file(
                 with one_line(f"{name}: cannot be read"):
                     run_trial(short, folder)
         (folder / name).write_bytes(right)
+    outcome = json.loads(right := (folder / OUTCOME).read_bytes())
+    for name, words in (("experiments", "9 experiments and 3 iterations"), ("iterations", "6 .* and 9 it.*")):
+        (folder / OUTCOME).write_text(json.dumps(outcome | {name: 9}))
+        for read in (read_folder, partial(run_trial, short)):
+            with one_line(rf"outcome\.json: has {words}, its steps 6 and 3\. Delete it"):
+                read(folder)
+    (folder / OUTCOME).unlink()
+    assert_equal(timeless(run_trial(short, folder)), timeless(whole[1]))
+    (folder / OUTCOME).write_bytes(right)
     for file in (episode, *TrialFolder(folder).steps()[12:-1], iteration):
         (folder / file.name).unlink()
         for read in (read_folder, partial(run_trial, short)):

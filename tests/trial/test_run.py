@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from errors import one_line
 from records import assert_equal
 from threadpoolctl import threadpool_info, threadpool_limits
 
@@ -171,8 +172,14 @@ def test_a_summary_is_the_same_after_json() -> None:
         TrialSummary(Outcome.SUCCEEDED, success_rate=0.5, platforms=("a", "b"), diagnostics=("c",)),
     ):
         assert_equal(TrialSummary.from_json(json.loads(json.dumps(summary.as_json()))), summary)
-    for wrong in ({}, {"outcome": "fine"}, TrialSummary(Outcome.ERROR).as_json() | {"experiments": "many"}):
-        with pytest.raises(ValueError, match="validation error"):
+    whole = TrialSummary(Outcome.ERROR).as_json()
+    for wrong, words in (
+        ({}, "^lacks experiments, iterations, "),
+        ({name: each for name, each in whole.items() if name != "iterations"}, "^lacks iterations$"),
+        (whole | {"outcome": "fine"}, "^outcome: Input should be"),
+        (whole | {"experiments": "many"}, "^experiments: Input should be"),
+    ):
+        with one_line(words, ValueError):
             TrialSummary.from_json(wrong)
 
 
