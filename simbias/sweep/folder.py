@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from simbias.core.errors import ConfigError
 from simbias.sweep.batches import Outcomes
 from simbias.trial.disk import read_json, require_file, write_json, write_whole
 
@@ -37,6 +38,12 @@ class SweepFolder:
     def description(self) -> dict[str, Any]:
         """The content of sweep.json."""
         return read_json(self.path / SWEEP)
+
+    def trials_recorded(self) -> set[str]:
+        """The hashes of the trials in sweep.json; none where it cannot be read."""
+        with suppress(ConfigError):
+            return {*self.description()["trials"]}
+        return set()
 
     def state(self) -> dict[str, Any]:
         """The content of state.json; empty before there is one."""

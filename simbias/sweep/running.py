@@ -97,7 +97,8 @@ def run_sweep(
 ) -> tuple[DataFrame, str]:
     """Run the trials that have not ended, and make the figures; `again` is the command that resumes.
 
-    Figures are made once no trial waits for the result of an experiment, unless all raised an error.
+    Figures are made once no trial waits for the result of an experiment, unless all raised an error. Of a
+    part of the trials that the sweep's folder has, none are, and that folder stays as it is.
 
     Returns the trials, as `simbias.sweep.results` describes them, and how a person looks at them.
 

@@ -30,6 +30,8 @@ from simbias.trial.summary import Outcome, TrialSummary
 
 DAMAGED = "simbias: %s; the trial counts as unfinished"
 MIXED = "simbias: trials of this sweep are from %d platforms, so their last bits may differ: %s"
+PART = "simbias: asked for %d of the %d trials of %s: its tables, figures and page stay those of all"
+LOSES = "simbias: %s loses %d of its %d trials, which are not asked for any more; their own folders stay"
 # First words on a sweep.
 RUNNING, DONE, INTERRUPTED = "**Running**", "**Done**", "**Interrupted**"
 WAITS = "**Waiting** for hardware experiments"
@@ -78,7 +80,14 @@ class SweepState:
         self._due = 0.0
         self.export = Export()  # shows the sweep elsewhere, once MLflow is imported; that is not begun twice
         tell_what_is_in_clear(sweep.base.from_environment if store.folder else (), self.folder.path)
-        self.folder.begin(_description(sweep, again))
+        asked, recorded = {trial.hash for trial in sweep.trials}, self.folder.trials_recorded()
+        self._partial = asked < recorded  # then the sweep's folder stays as it is
+        if self._partial:
+            logging.getLogger(__name__).warning(PART, len(asked), len(recorded), self.folder.path)
+        else:
+            if lost := len(recorded - asked):
+                logging.getLogger(__name__).warning(LOSES, self.folder.path, lost, len(recorded))
+            self.folder.begin(_description(sweep, again))
         for left in self.folder.path.glob(f"{MARKER}*"):  # by a process that was killed
             left.unlink()
         self._marker = (self.folder.path / f"{MARKER}{uuid4().hex}").absolute()
@@ -103,9 +112,9 @@ class SweepState:
 
     @property
     def draws(self) -> bool:
-        """Whether figures are made: no trial waits for a result, and not all raised an error."""
+        """Whether figures are made: of a whole sweep, no trial of which waits, and not all raised an error."""
         raised = (row["outcome"] == Outcome.ERROR for row in self._rows.values())
-        return not self.waits and not all(raised)
+        return not self._partial and not self.waits and not all(raised)
 
     def plan(self, trial: Trial, shares_disk: bool) -> Plan:
         """A trial as a worker needs it."""
@@ -204,7 +213,8 @@ class SweepState:
         }
         files = {"trials.csv": results.csv(trials), "table.md": arrangement}
         files["table.csv"] = table.to_csv(index=False)
-        self.folder.write_state(state, files if final else {})
+        if not self._partial:
+            self.folder.write_state(state, files if final else {})
         self.export.update(final)
         ended = time.monotonic()
         self._due = ended + max(STATE_SECONDS, (ended - began) / STATE_SHARE)

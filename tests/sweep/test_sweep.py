@@ -100,6 +100,29 @@ def test_a_notebook_adds_trials_without_a_terminal(folder: Path, capsys: pytest.
         simbias.run_sweep(["bias=none"])
 
 
+def test_a_part_of_a_sweep_leaves_its_record_and_others_say_what_it_loses(
+    folder: Path, caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Both run and are told."""
+    quick = [*SMOKE, "sweep.trials=1", "tracking.pictures=false"]
+    assert main(quick) == 0
+    own = sweep_folder(folder)
+    before = {file: file.read_bytes() for file in own.rglob("*.*") if file.is_file()}
+    for values, cells, said in (
+        ("[0.2]", 1, f"asked for 1 of the 2 trials of {own.relative_to(folder)}: "),
+        ("[0.2, 0.3]", 2, f"{own.relative_to(folder)} loses 1 of its 2 trials, "),
+    ):
+        assert before == {file: file.read_bytes() for file in own.rglob("*.*") if file.is_file()}
+        capsys.readouterr()
+        assert main([*quick, f"sweep.axes={{hardware.inertia_error: {values}}}"]) == 0
+        assert f"{cells} cells x 1 trials = {cells}, 1 of them" in capsys.readouterr().out
+        (record,) = caplog.records
+        assert record.getMessage().startswith(f"simbias: {said}")
+        caplog.clear()
+    assert len(SweepFolder(own).trials_recorded()) == 2
+    assert len(pd.read_csv(own / "trials.csv")) == 2
+
+
 def test_the_command_that_resumes_names_folders_and_modules_of_ones_own(folder: Path) -> None:
     conf = write_sweep(folder, "mine", "sweep: {trials: 1, axes: {}, figures: {}}")
     command = [["+sweep=mine", *QUICK, *FOLDERS, "engine=sequential"], "conf", None, ["json"]]
@@ -382,29 +405,30 @@ def test_a_trial_that_waits_has_one_run(folder: Path, store: str) -> None:
     assert state(folder)["verdict"].startswith("**Waiting**")
 
 
-def test_a_sweep_that_was_shrunk_and_relabelled_is_shown_as_it_is_now(
+def test_a_sweep_that_was_relabelled_is_shown_as_it_is_now_and_a_part_of_it_whole(
     folder: Path, store: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A trial that is not of it any more keeps its run, in case it is of it again; a figure its file."""
+    """A figure that is not of it any more keeps its file."""
     figures = "experiments: {_target_: simbias.sweep.figures.experiments.Experiments}"
     axis = "error: {keys: hardware.inertia_error, values: [0.0, 0.2], labels: [none, some]}"
     whole = f"sweep: {{trials: 1, axes: {{{axis}}}, figures: {{{figures}}}}}"
-    fewer = whole.replace("[0.0, 0.2]", "[0.20]").replace("[none, some]", "[more]").replace(figures, "")
+    part = whole.replace("[0.0, 0.2]", "[0.20]").replace("[none, some]", "[more]").replace(figures, "")
+    other = whole.replace("some", "more").replace(figures, "")
     command = ["--config-dir", "conf", "+sweep=mine", *QUICK, "engine=sequential", store]
-    for text in (whole, fewer):
+    for text, label in ((whole, "some"), (part, "some"), (other, "more")):
         write_sweep(folder, "mine", text)
         assert main([*command, "tracking.pictures=false"]) == 0
-    (parent,), trials = runs(folder)
-    assert parent.data.metrics["trials/succeeded"] == 1
-    assert "1 of 1 [trials]" in parent.data.tags["mlflow.note.content"]
-    assert {(run.info.run_name, run.data.tags["axis.error"]) for run in trials} == {
-        ("none #0", "none"), ("more #0", "more"),
-    }  # fmt: skip
-    assert "experiments.png" not in parent.data.tags["mlflow.note.content"]
+        (parent,), trials = runs(folder)
+        assert parent.data.metrics["trials/succeeded"] == 2
+        assert "2 of 2 [trials]" in parent.data.tags["mlflow.note.content"]
+        assert {(run.info.run_name, run.data.tags["axis.error"]) for run in trials} == {
+            ("none #0", "none"), (f"{label} #0", label),
+        }  # fmt: skip
+        assert ("experiments.png" in parent.data.tags["mlflow.note.content"]) == (label == "some")
     assert list((sweep_folder(folder) / "figures").iterdir())
     assert SweepFolder(sweep_folder(folder)).figures() == []
     before = histories(folder)
-    write_sweep(folder, "mine", fewer.replace("more", "most"))
+    write_sweep(folder, "mine", other.replace("more", "most"))
     assert main([*command, "tracking.pictures=false"]) == 0
     assert histories(folder) == before
     config = Path(client_of(folder).download_artifacts(parent.info.run_id, "sweep.yaml"))
