@@ -112,7 +112,7 @@ class SweepState:
 
     @property
     def draws(self) -> bool:
-        """Whether figures are made: of a whole sweep, no trial of which waits, and not all raised an error."""
+        """Whether figures are made: of a whole sweep in which no trial waits and not all raised an error."""
         raised = (row["outcome"] == Outcome.ERROR for row in self._rows.values())
         return not self._partial and not self.waits and not all(raised)
 
