@@ -131,7 +131,7 @@ class TrialSummary:
 
     @staticmethod
     def from_json(values: Mapping[str, Any]) -> TrialSummary:
-        """The summary, as `as_json` wrote it; a ValueError if a number is missing, or a value of another kind."""
+        """The summary, as `as_json` wrote it; a ValueError names a number that is missing, or a bad value."""
         if lacking := [name for name in NUMBERS if name not in values]:
             raise ValueError(f"lacks {', '.join(lacking)}")
         known = {name: nan if value is None else value for name, value in values.items()}
