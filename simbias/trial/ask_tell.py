@@ -11,9 +11,13 @@ from simbias.core import Hardware, Policy, Task, Waiting
 from simbias.core.records import Array, Iteration, Optimum, Rollout
 from simbias.lab.checked_hardware import MakeExperiment
 from simbias.lab.checks import check_rollout
+from simbias.lab.rates import check_rates, rates_of
 from simbias.lab.requests.request import ExperimentRequest
+from simbias.lab.requests.trajectory import tell_other_commands
 from simbias.lab.targets import beside
 from simbias.trial.replay import EndOfRecord, Record
+
+SOURCE = "study.tell"
 
 
 class AskTell:
@@ -50,7 +54,9 @@ class AskTell:
         if self._request is None:
             raise ValueError("no experiment was asked for: ask() comes first")
         request = self._request
-        checked = check_rollout(rollout, "study.tell", self._task, request.bounds)
+        checked = check_rollout(rollout, SOURCE, self._task, request.bounds, request.start)
+        check_rates(SOURCE, [checked], self._task, rates_of(self._task))
+        tell_other_commands(checked.states, checked.inputs, request, SOURCE)
         targets = getattr(request.policy, "targets", np.empty(0))
         self._told.append(beside(replace(checked, parameters=request.theta), targets))
         self._request = None

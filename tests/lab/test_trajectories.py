@@ -12,7 +12,14 @@ from point_mass import PointMass
 
 from simbias.core import HardwareError, Quantity
 from simbias.core.records import Array, Rollout
-from simbias.lab.requests.trajectory import Recording, frame, header, read, template
+from simbias.lab.requests.trajectory import (
+    Recording,
+    frame,
+    header,
+    read,
+    tell_other_commands,
+    template,
+)
 from simbias.lab.safety import Safety
 
 TASK = PointMass(horizon=20)
@@ -175,9 +182,28 @@ def test_a_sensor_that_stands_still_is_told(tmp_path: Path, caplog: pytest.LogCa
     for name, states in dead.items():
         asked = still if name == "velocity" else REQUEST
         read(written(tmp_path, lines(HEADER, np.c_[TIMES, np.transpose(states), 0 * TIMES])), asked)
-        assert f"{name} stands still while" in caplog.messages[-1]
+        assert f"{name} stands still while" in caplog.text
     read(written(tmp_path, moving()), REQUEST)
-    assert len(caplog.messages) == 2
+    assert caplog.text.count("stands still") == 2
+
+
+def test_inputs_of_another_experiment_are_told(caplog: pytest.LogCaptureFixture) -> None:
+    """Not what noise of the policy's own sensors makes of them, nor a frame that they are late."""
+    rng, t = np.random.default_rng(0), 0.02 * np.arange(101)
+    states = np.stack([0.5 * np.cos(3 * t), -1.5 * np.sin(3 * t)], axis=1)
+    request = requested(PointMass(horizon=100), states[0])
+    controller = request.controller()
+    inputs = np.array([controller(x) for x in states[:-1]])
+    noise = rng.standard_normal(inputs.shape)
+    for recorded, is_told in (
+        *((inputs, 0), (np.roll(inputs, 1, axis=0), 0), (inputs + np.std(inputs) * noise, 0)),
+        *((-0.3 * inputs, 1), (inputs[::-1], 1), (0 * inputs, 1)),
+    ):
+        caplog.clear()
+        tell_other_commands(states, recorded, request, "trajectory.csv")
+        assert [each.count("is not as the requested policy commands") for each in caplog.messages] == [
+            1
+        ] * is_told
 
 
 def test_only_plain_digits_are_numbers(tmp_path: Path) -> None:

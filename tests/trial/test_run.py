@@ -235,6 +235,8 @@ def test_what_is_wrong_is_told_and_the_question_stays_open(point_mass: Study) ->
     whole = made(point_mass, request)
     with pytest.raises(HardwareError, match=r"states: expected the shape \(101, 2\), got \(101, 1\)"):
         point_mass.tell(replace(whole, states=whole.states[:, :1]))
+    with pytest.raises(HardwareError, match=r"^study\.tell: states: expected position to begin at "):
+        point_mass.tell(replace(whole, states=whole.states + 10.0))
     assert point_mass.ask() is request
 
 

@@ -17,11 +17,15 @@ from simbias.core.robot import unwound
 from simbias.lab.checks import START_DEVIATIONS, start_tolerance
 from simbias.lab.rates import check_rates, rates_of
 from simbias.lab.requests.request import ExperimentRequest
+from simbias.lab.safety import without_limits
 from simbias.lab.table import POINT, Table, read_table
 
 TIME, FAILURE = Quantity("time", "s"), "failure"  # columns beside states and inputs
 NO_FAILURE = {"", "-", "none", "nan", "na", "n/a", "null", "no", "ok"}  # how tools write that nothing failed
 STILL = "simbias: %s: %s stands still while %s does not: is a sensor dead?"
+OTHER = "simbias: %s: %s is not as the requested policy commands in these states: is it another experiment?"
+UNLIKE = 0.7  # of the root mean square of commands, by which another policy's differ
+LASTS = 0.5  # autocorrelation of what is not noise
 JITTER = 0.25  # of a frame, within which a row counts as on time
 GAP = 2.5  # intervals between rows that are no gap yet
 COARSEST = 1.05  # of the task's time step that the rows may be apart
@@ -135,6 +139,7 @@ def frame(recording: Recording, request: ExperimentRequest, source: str) -> Roll
         inputs = _means(times, recording.inputs, wanted)
     check_rates(source, [Rollout(states, inputs)], task, rates_of(task))
     _tell_what_stands_still(states, task, source)
+    tell_other_commands(states, inputs, request, source)
     within = times[-1] <= (task.horizon + JITTER) * task.time_step  # what fails later has lasted
     failure = recording.failure if within else None
     return _ended(states, inputs, failure, request, f"{source}: row {rows[-1]}")
@@ -148,6 +153,21 @@ def _tell_what_stands_still(states: Array, task: Task, source: str) -> None:
             still, other = (position, rate) if has_rate else (rate, position)
             names = (task.states[i].name for i in (still, other))
             logging.getLogger(__name__).warning(STILL, source, *names)
+
+
+def tell_other_commands(states: Array, inputs: Array, request: ExperimentRequest, source: str) -> None:
+    """Warn of inputs (k, m) that are unlike the policy's in the states (k+1, n), or a frame off them.
+
+    What the policy's own sensors add to its commands does not last from frame to frame.
+    """
+    controller = without_limits(request.policy).controller(request.theta, request.task.time_step)
+    asked = np.array([controller(x) for x in states[:-1]]).reshape(inputs.shape)
+    for quantity, u, commanded in zip(request.task.inputs, inputs.T, asked.T, strict=True):
+        off = u - commanded
+        lasts = off[1:] @ off[:-1] > LASTS * (off @ off)
+        late = ((u, commanded), (u[1:], commanded[:-1]), (u[:-1], commanded[1:]))
+        if lasts and all(np.sum((a - b) ** 2) > UNLIKE**2 * np.sum(b**2) for a, b in late):
+            logging.getLogger(__name__).warning(OTHER, source, quantity.name)
 
 
 def _unwound(states: Array, request: ExperimentRequest) -> Array:
