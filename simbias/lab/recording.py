@@ -108,7 +108,7 @@ class Reader:
             same = max(same, (len(signal.times) - len(times), len(signal.times)))
             values = signal.values[first] * scale
             if i < len(self._task.states) and quantity.unit in TURNS:
-                values = self._unwound(f"{file.path}: column {name}", quantity, times, values, notes)
+                values = self._unwound(f"{file.path}: column {name}", quantity, Signal(times, values), notes)
             found[i] = Signal(times, values)
         if same[0] > SAME * same[1]:
             told = f"{same[0]} of {same[1]} samples have the time of the one before"
@@ -116,15 +116,16 @@ class Reader:
         self._check_period(file, found, bool(time_unit or file.unit(time)))
         return found
 
-    @staticmethod
-    def _unwound(column: str, angle: Quantity, times: Array, values: Array, notes: list[str]) -> Array:
-        """The angle's values (k,) without jumps of a turn; larger ones are refused."""
-        turn, steps = TURNS[angle.unit], np.diff(values)
-        if len(jumps := np.flatnonzero(np.abs(steps) > MOST_TURNS * turn)):
+    def _unwound(self, column: str, angle: Quantity, signal: Signal, notes: list[str]) -> Array:
+        """The angle's values (k,) without jumps of a turn between gaps; larger ones are refused."""
+        turn, times, values = TURNS[angle.unit], signal.times, signal.values
+        steps, gaps = np.diff(values), np.diff(times) > self._gap(signal)
+        if len(jumps := np.flatnonzero((np.abs(steps) > MOST_TURNS * turn) & ~gaps)):
             first, then = times[jumps[0] : jumps[0] + 2]
             jump = f"{steps[jumps[0]]:.3g} {angle.unit} from {first:.6g} s to {then:.6g} s"
             raise HardwareError(f"{column} jumps by {jump}, more than a turn")
-        unwound: Array = np.unwrap(values, period=turn)
+        runs = np.split(values, np.flatnonzero(gaps) + 1)
+        unwound = np.concatenate([np.unwrap(run, period=turn) for run in runs])
         if not np.array_equal(unwound, values):
             notes.append(f"{angle.name} was wrapped")
         return unwound

@@ -61,7 +61,7 @@ def read(
     kept, files = _by_place(held_out), _by_place(places)
     rollouts, times = dict[str, tuple[Rollout, ...]](), dict[str, tuple[Array, ...]]()
     notes, extents = dict[str, list[str]](), list[str]()  # the files that a note is on
-    posterior = study.identification
+    seen, posterior = set[tuple[bytes, ...]](), study.identification
     needed = None
     if windows and isinstance(posterior, Posterior):
         needed = posterior.with_window(windows * posterior.window)
@@ -76,6 +76,13 @@ def read(
             raise ConfigError("", words(error)) from error
         for note in recording.notes:
             notes.setdefault(note, []).append(name)
+        samples_of = tuple(
+            each.tobytes() for piece in recording.pieces for each in (piece.states, piece.inputs)
+        )
+        if samples_of in seen:
+            notes.setdefault("has the samples of another file, so it does not count again", []).append(name)
+            continue
+        seen.add(samples_of)
         pieces = [
             (replace(piece, continues=i > 0), when)
             for i, (piece, when) in enumerate(zip(recording.pieces, recording.times, strict=True))

@@ -216,6 +216,11 @@ def test_wrapped_angles_are_unwound(study: Study, tmp_path: Path) -> None:
     found = read(study, table, tmp_path)
     np.testing.assert_allclose(found.pieces[0].states[:, 0], states[:, 0], atol=1e-9)
     assert "pos1 was wrapped" in found.notes
+    later = table.assign(
+        time=t + 9.0 * (t >= 1.0), pos1=np.where(t < 1.0, 4 * t, -t), vel1=np.where(t < 1.0, 4.0, -1.0)
+    )
+    pieces = read(study, later, tmp_path).pieces  # not across a gap
+    np.testing.assert_allclose(pieces[1].states[:, 0], -t[500:], atol=1e-9)
     assert "pos2 never changes, so nothing is learned of what it moves" in found.notes
     assert "tau1 never changes, so nothing is learned of what it moves" in found.notes
 

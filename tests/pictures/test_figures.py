@@ -103,6 +103,17 @@ def test_costs_are_those_of_the_records(short: Study, trial: list[Iteration]) ->
     assert low < min(min(ys) for ys in measured) <= max(max(ys) for ys in measured) < high
 
 
+def test_costs_have_no_limit_where_the_task_says_what_succeeds(short: Study, trial: list[Iteration]) -> None:
+    """Experiments that do not are crosses."""
+    task = copy(short.task)
+    task.succeeds = lambda states: False  # type: ignore[method-assign]
+    by_iteration, pairs = costs(replace(short, task=task), trial).axes
+    measured = [[r.cost for r in iteration.experiments] for iteration in trial]
+    assert [list(data[:, 1]) for data in lines(by_iteration, HARDWARE, "X")] == measured
+    assert not [*by_iteration.patches, *by_iteration.collections[len(trial) :], *pairs.collections]
+    assert "no success" in texts(costs(replace(short, task=task), trial))
+
+
 def test_errors_are_those_of_steps_one_by_one(short: Study, trial: list[Iteration]) -> None:
     """Eq. 6, one frame ahead; and many frames ahead as stepping through them one by one gives it."""
     pieces = windows(short, trial[-1], 30)

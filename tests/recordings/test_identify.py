@@ -591,8 +591,8 @@ def test_the_command_tells_and_writes(
 def test_nothing_is_fitted_to_what_is_held_out(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """However a file is named, also as one of a folder; without another one, there is nothing to fit to."""
     (folder / "lab").mkdir()
-    for name in ("one", "two"):
-        write_csv(Rollout(np.zeros((202, 4)), np.zeros((201, 2))), folder / "lab" / f"{name}.csv")
+    for at, name in enumerate(("one", "two")):
+        write_csv(Rollout(np.full((202, 4), at), np.zeros((201, 2))), folder / "lab" / f"{name}.csv")
     (folder / "again.csv").symlink_to(folder / "lab" / "two.csv")
     options = ["preset=double_pendulum", "identification=posterior", "tracking=none"]
     found = read(simbias.load(options), ["lab", "lab/../lab/one.csv"], held_out=[folder / "again.csv"])
@@ -600,6 +600,10 @@ def test_nothing_is_fitted_to_what_is_held_out(folder: Path, capsys: pytest.Capt
     assert "two.csv: held out, so not fitted to" in found.notes
     still = next(note for note in read(simbias.load(options), ["lab"]).notes if "pos1 never changes" in note)
     assert still.startswith("one.csv, two.csv: ")  # once for both
+    (folder / "copy.csv").write_bytes((folder / "lab" / "one.csv").read_bytes())
+    found = read(simbias.load(options), ["lab", "copy.csv"])
+    assert list(found.rollouts) == ["one.csv", "two.csv"]
+    assert "copy.csv: has the samples of another file, so it does not count again" in found.notes
     refused = pytest.raises(ConfigError, match=r"^identify: needs recordings that are not held out: ")
     with refused, pytest.warns(UserWarning, match=r"^one\.csv, two\.csv: held out, so not fitted to"):
         simbias.identify(["lab"], options, held_out=["lab"])

@@ -247,7 +247,8 @@ def _check_inputs(inputs: Array, rows: Sequence[int], request: ExperimentRequest
     if len(beyond):
         row, column = beyond[0]
         quantity, given = request.task.inputs[column], inputs[row, column]
-        limit = f"at most {upper[column]:g}" if given > 0 else f"at least {lower[column]:g}"
+        above = given > upper[column]
+        limit = f"at most {upper[column]:g}" if above else f"at least {lower[column]:g}"
         raise HardwareError(
             f"{source}: row {rows[row]}, column {quantity.name}: expected {limit} {quantity.unit}, "
             f"got {given:g}"

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from simbias.core.messages import counted
-from simbias.core.records import Iteration, Rollout
+from simbias.core.records import Flags, Iteration, Rollout
 from simbias.pictures.elements.drawing import NoPictureError
 from simbias.pictures.elements.style import HARDWARE, NOMINAL, SIMULATION, seconds
 from simbias.trial.study import Study
@@ -22,6 +22,17 @@ class NamedRollout(NamedTuple):
     rollout: Rollout
     color: str = HARDWARE
     line: Literal["-", "--", ":"] = "-"
+
+
+def cost_limit(study: Study) -> float:
+    """Z_max, which parts successes from others; inf where the task itself says what succeeds."""
+    return np.inf if study.task.says_success else study.cost.max_cost
+
+
+def cost_markers(study: Study, experiments: Sequence[Rollout]) -> Iterator[tuple[str, Flags]]:
+    """Markers of experiments' costs, and which (k,) have them: crosses, where the task says no success."""
+    missed = np.array([study.task.says_success and not study.passes(each) for each in experiments], np.bool_)
+    yield from ((marker, some) for marker, some in (("o", ~missed), ("X", missed)) if some.any())
 
 
 def simulated(study: Study, iteration: Iteration, experiments: Sequence[Rollout]) -> list[Rollout]:

@@ -22,7 +22,7 @@ from simbias.pictures.elements.style import (
     shade_beyond,
     whole_numbers,
 )
-from simbias.pictures.trial.comparison import simulated
+from simbias.pictures.trial.comparison import cost_limit, cost_markers, simulated
 from simbias.trial.study import Study
 
 HEIGHT = 2.6  # in, of a panel
@@ -35,6 +35,7 @@ LEGEND = {
     ),
     "measured on hardware": Line2D([], [], color=HARDWARE, marker="o", linestyle=""),
 }
+NO_SUCCESS = Line2D([], [], color=HARDWARE, marker="X", linestyle="")
 
 
 def costs(study: Study, iterations: Sequence[Iteration]) -> Figure:
@@ -43,8 +44,8 @@ def costs(study: Study, iterations: Sequence[Iteration]) -> Figure:
     At the left, by iteration: the prediction that the policy was chosen by, each hardware experiment's cost,
     and, joined to it, that of its policy from the same start in the simulation of the iteration's search.
     At the right, these pairs, each drawn as the number of its iteration; what lies above the diagonal is
-    dearer than simulated. Z_max parts what works from what fails, unless the task itself says what succeeds;
-    shaded is what is below it in simulation and above it on hardware.
+    dearer than simulated. Z_max parts what works from what fails; shaded is what is below it in simulation
+    and above it on hardware. Where the task itself says what succeeds, crosses are experiments that did not.
 
     Raises
     ------
@@ -54,13 +55,14 @@ def costs(study: Study, iterations: Sequence[Iteration]) -> Figure:
     if all(iteration.model is None for iteration in iterations):
         raise NoPictureError("no policy was searched in simulation")
     figure, grid = panels(2, HEIGHT)
-    (by_iteration, pairs), limit = grid[0], study.cost.max_cost
-    values = [limit]
+    (by_iteration, pairs), limit = grid[0], cost_limit(study)
+    values = [limit] if np.isfinite(limit) else []
     for iteration in iterations:
         measured = [rollout.cost for rollout in iteration.experiments]
         models = [rollout.cost for rollout in simulated(study, iteration, iteration.experiments)]
         at = iteration.index + ASIDE * (np.arange(len(measured)) - (len(measured) - 1) / 2)
-        by_iteration.plot(at, measured, "o", color=HARDWARE, zorder=3)
+        for marker, some in cost_markers(study, iteration.experiments):
+            by_iteration.plot(at[some], np.array(measured)[some], marker, color=HARDWARE, zorder=3)
         if iteration.search is not None:
             sides = [iteration.index - 0.35, iteration.index + 0.35]
             by_iteration.plot(sides, [iteration.search.predicted_cost] * 2, color=SIMULATION, linewidth=2.5)
@@ -76,27 +78,31 @@ def costs(study: Study, iterations: Sequence[Iteration]) -> Figure:
     by_iteration.set_xlim(-0.5, max(iteration.index for iteration in iterations) + 0.5)
     whole_numbers(by_iteration.xaxis)
     by_iteration.set(xlabel="iteration", ylabel="cost Z (dimensionless)")
-    shade_beyond(by_iteration, limit, r"limit $Z_{\max}$")
+    if np.isfinite(limit):
+        shade_beyond(by_iteration, limit, r"limit $Z_{\max}$")
     _divide(pairs, limit)
     headline(by_iteration, "Predicted and measured cost of each policy")
     headline(pairs, "Each experiment, by its iteration's number")
     for axes in (by_iteration, pairs):
         plain(axes)
     searched = any(iteration.search is not None for iteration in iterations)
-    legend(figure, {name: line for name, line in LEGEND.items() if searched or name != SEARCHED})
+    entries = {name: line for name, line in LEGEND.items() if searched or name != SEARCHED}
+    legend(figure, entries | ({"no success": NO_SUCCESS} if study.task.says_success else {}))
     return figure
 
 
 def _divide(axes: Axes, limit: float) -> None:
-    """Draw the diagonal, and divide what works from what fails."""
-    axes.update_datalim([(limit / 2, limit / 2), (2 * limit, 2 * limit)])
+    """Draw the diagonal, and divide what works from what fails, if the limit does."""
+    if np.isfinite(limit):
+        axes.update_datalim([(limit / 2, limit / 2), (2 * limit, 2 * limit)])
     axes.autoscale_view()
     (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
     both = [max(left, bottom), min(right, top)]
     axes.plot(both, both, color=LIMIT, linewidth=0.8, linestyle=":", zorder=1)
-    axes.axhline(limit, color=LIMIT, linewidth=0.8, zorder=1)
-    axes.axvline(limit, color=LIMIT, linewidth=0.8, zorder=1)
-    axes.fill_between([left, limit], limit, top, color=BEYOND, linewidth=0.0, zorder=0)
+    if np.isfinite(limit):
+        axes.axhline(limit, color=LIMIT, linewidth=0.8, zorder=1)
+        axes.axvline(limit, color=LIMIT, linewidth=0.8, zorder=1)
+        axes.fill_between([left, limit], limit, top, color=BEYOND, linewidth=0.0, zorder=0)
     axes.set(xlim=(left, right), ylim=(bottom, top))
     axes.set_xlabel("Z in simulation, from the same start (dimensionless)")
     axes.set_ylabel("Z on hardware (dimensionless)")

@@ -35,7 +35,7 @@ EDGE = 0.03  # of the axes' height: a bar where the band leaves them
 
 
 def forecast(study: Study, iterations: Sequence[Iteration]) -> Figure:
-    """Every state over time in s, in the worst experiment of the last iteration's policy and as predicted.
+    """Every state of the robot over time in s, in the last policy's worst experiment and as predicted.
 
     All predictions run the experiment's policy from its start, to failure or horizon: on the nominal model
     alone and, if anything was learned, with the learned bias, as the policy search did. The band holds nine
@@ -60,9 +60,10 @@ def forecast(study: Study, iterations: Sequence[Iteration]) -> Figure:
         curves.append(learned)
         draws = _draws(study, model, experiment)
     curves.append(nominal := on_nominal(study, iteration, experiment))
-    figure, (grid,) = panels(len(task.states), HEIGHT)
+    states = task.without_targets.states
+    figure, (grid,) = panels(len(states), HEIGHT)
     beyond: dict[str, Artist] = {}
-    for i, (axes, quantity) in enumerate(zip(grid, task.states, strict=True)):
+    for i, (axes, quantity) in enumerate(zip(grid, states, strict=True)):
         for _, rollout, color, line in curves:
             times = task.time_step * np.arange(len(rollout.states))
             axes.plot(times, rollout.states[:, i], line, color=color, linewidth=1.0)

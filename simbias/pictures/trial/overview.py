@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from simbias.core.records import Array, Indices, Iteration, Rollout
 from simbias.pictures.elements.drawing import Drawing, drawing_of, share_view
@@ -26,6 +27,8 @@ from simbias.pictures.elements.style import (
 from simbias.pictures.trial.comparison import (
     NamedRollout,
     compared_words,
+    cost_limit,
+    cost_markers,
     failure_words,
     first_and_last,
     hardware_words,
@@ -129,14 +132,14 @@ def _cost_so_far(study: Study) -> Measure:
         frames = np.unique(np.linspace(1, rollout.frames, POINTS).round().astype(int))
         return frames, np.array([study.cost.of(rollout.part(0, k)) for k in frames])
 
-    return Measure("cost Z so far", study.cost.max_cost, Z_MAX, so_far)
+    return Measure("cost Z so far", cost_limit(study), Z_MAX, so_far)
 
 
 def _draw_measure(
     axes: Axes, study: Study, rollouts: Sequence[NamedRollout], measure: Measure, ticks: Array
 ) -> None:
     """A measure over time, in simulation and on hardware; a tick below each snapshot."""
-    values = [measure.limit]
+    values = list[float]()
     for name, rollout, color, line in rollouts:
         frames, measures = measure.of(rollout)
         times = study.task.time_step * frames
@@ -144,13 +147,15 @@ def _draw_measure(
         if rollout.failed_at is not None:
             axes.plot(times[-1], measures[-1], "X", color=color, markersize=9, zorder=3, clip_on=False)
         values += measures.tolist()
+    limited = np.isfinite(measure.limit)
     if measure.limit_label == Z_MAX:
-        logarithmic_if_wide(values, axes.yaxis)
+        logarithmic_if_wide([*values, measure.limit] if limited else values, axes.yaxis)
     axes.set_xlim(ticks[0] - ticks[1] / 2, ticks[-1] + ticks[1] / 2)
     axes.set_xticks(ticks)
     axes.set(xlabel="time (s)", ylabel=measure.label)
-    shade_beyond(axes, measure.limit, measure.limit_label, "left")  # a rollout begins far from it
-    _name_failure(axes, study, rollouts[-1].rollout, measure.limit)
+    if limited:
+        shade_beyond(axes, measure.limit, measure.limit_label, "left")  # a rollout begins far from it
+        _name_failure(axes, study, rollouts[-1].rollout, measure.limit)
     above = axes.legend(loc="best", bbox_to_anchor=(0.0, 0.0, 1.0, 0.8), framealpha=0.8, fontsize=SMALL)
     above.get_frame().set_linewidth(0.0)  # its words can be read where a curve passes below
     plain(axes)
@@ -173,11 +178,14 @@ def _name_failure(axes: Axes, study: Study, rollout: Rollout, limit: float) -> N
 
 def _draw_costs(axes: Axes, study: Study, iterations: Sequence[Iteration]) -> None:
     """The cost of every hardware experiment, and of the same in the simulation of its policy's search."""
-    values, entries = [study.cost.max_cost], {}
+    limit = cost_limit(study)
+    values, entries = [limit] if np.isfinite(limit) else [], dict[str, Line2D]()
     for iteration in iterations:
         measured, last = [rollout.cost for rollout in iteration.experiments], iteration.total_experiments
         numbers = np.arange(last - len(measured), last) + 1
-        (entries["hardware"],) = axes.plot(numbers, measured, "o", color=HARDWARE, zorder=3)
+        for marker, some in cost_markers(study, iteration.experiments):
+            (line,) = axes.plot(numbers[some], np.array(measured)[some], marker, color=HARDWARE, zorder=3)
+            entries["hardware" if marker == "o" else "no success"] = line
         models = [rollout.cost for rollout in simulated(study, iteration, iteration.experiments)]
         if models:
             (entries["simulation,\nsame start"],) = axes.plot(
@@ -188,7 +196,8 @@ def _draw_costs(axes: Axes, study: Study, iterations: Sequence[Iteration]) -> No
     whole_numbers(axes.xaxis)
     axes.set_xlim(0.5, iterations[-1].total_experiments + 0.5)
     axes.set(xlabel="hardware\nexperiment", ylabel="cost Z (dimensionless)")
-    shade_beyond(axes, study.cost.max_cost, Z_MAX)
+    if np.isfinite(limit):
+        shade_beyond(axes, limit, Z_MAX)
     axes.legend(
         list(entries.values()),
         list(entries),

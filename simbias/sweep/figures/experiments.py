@@ -85,6 +85,7 @@ def _figure(table: pd.DataFrame, sweep: Sweep) -> Figure:
         _curve(axes, own, offset, index, literal(", ".join(map(_series, others, labels))), len(curves) > 1)
     _label(axes, along, ticks)
     axes.set_ylim(bottom=0)
+    axes.locator_params(axis="y", integer=True)
     axes.set_xlim(-0.6, len(along.labels) - 0.4)
     axes.set_ylabel("hardware experiments until success")
     if len(curves) > 1 or bool(table["paper"].notna().any()):
