@@ -6,6 +6,7 @@ from copy import copy
 
 import numpy as np
 import pytest
+from models import driven
 
 from simbias.core import Nominal
 from simbias.core.parameters import uncertain
@@ -59,19 +60,14 @@ TRUTH = Bouncing(9.8, 0.03, rate=90.0)
 
 def bounced() -> Rollout:
     inputs = np.random.default_rng(0).uniform(-5.0, 5.0, (100, 1))
-    states = [np.array([0.5, 0.0])]
-    for u in inputs:
-        states.append(TRUTH.step(states[-1], u))
-    return Rollout(np.array(states), inputs)
+    return Rollout(driven(TRUTH, np.array([0.5, 0.0]), inputs), inputs)
 
 
 def fitted(differences: Differences = "forward", **noise: float) -> Identified:
     identification = Posterior(
         TASK, window=0.1, chunks=10, starts=4, rounds=2, noise=noise, differences=differences
     )
-    found = identification.fit(Bouncing(**DECLARED), [bounced()])
-    assert isinstance(found, Identified)
-    return found
+    return identification.fit(Bouncing(**DECLARED), [bounced()])  # type: ignore[return-value]
 
 
 @pytest.mark.slow

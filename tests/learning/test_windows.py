@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from models import driven
 
 from simbias.core import Nominal
 from simbias.core.records import Array, Rollout, Transitions
@@ -122,10 +123,8 @@ def test_a_state_that_is_predicted_exactly_has_no_bias() -> None:
     for missing in (0.0, 2.0):
         rng, robot, rollouts = np.random.default_rng(0), Decay(missing), []
         for _ in range(2):
-            u, states = 3.0 * np.sin(rng.uniform(1, 4) * 0.02 * np.arange(150))[:, None], [np.ones(2)]
-            for each in u:
-                states.append(robot.step(states[-1], each))
-            rollouts.append(Rollout(np.array(states), u))
+            u = 3.0 * np.sin(rng.uniform(1, 4) * 0.02 * np.arange(150))[:, None]
+            rollouts.append(Rollout(driven(robot, np.ones(2), u), u))
         fitted = WindowGP(task(), segment=0.5).learn(NO_DATA, rollouts, Decay())
         inputs = np.concatenate([rollouts[0].states[:-1], rollouts[0].inputs], axis=1)
         mean, variance = fitted.predict(inputs)
