@@ -136,13 +136,11 @@ def test_an_input_without_a_limit_needs_a_scale() -> None:
 def test_without_data_the_kernel_is_that_of_no_bias() -> None:
     """Searches before the first experiment are as fast as without learning."""
     kernel = ZeroBias(6).kernel
-    assert kernel is not None
     for option in ("gp", "sparse_gp", "gp_learned", "sparse_gp_learned"):
         study = simbias.load(["tracking=none", f"bias={option}"])
         fitted = study.bias.fit(study.no_data)
         np.testing.assert_allclose(fitted.predict(queries(3))[1], 1 + np.exp(-4))
         for bias in (fitted, fitted.draw(np.random.default_rng(0))):
-            assert bias.kernel is not None
             assert bias.kernel.function is kernel.function
             np.testing.assert_array_equal(bias.kernel.parameters, kernel.parameters)
 
@@ -190,7 +188,6 @@ def test_a_sweeps_workers_keep_it_to_themselves(monkeypatch: pytest.MonkeyPatch)
     trial = simbias.load(["tracking=none", *short]).composition
     with pytest.warns(SlowWarning):
         (iteration,) = build(trial).run()
-    assert iteration.learning is not None
     assert len(iteration.learning.data) > 0
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -152,7 +152,6 @@ def test_windows_recover_the_residual_that_single_steps_lose(study: Study) -> No
     noise = ["hardware.noise.angle_variance=1e-6", "hardware.noise.velocity_variance=1e-3"]
     noisy = simbias.load(["tracking=none", "task.horizon=1500", *noise])
     true = noisy.experiment(np.array([8.1, 4.8, -6.7, -0.4, -5.6]), np.random.default_rng(0))
-    assert true.measured is not None
     for window, least, most in ((1, 5.0, np.inf), (71, 0.0, 0.2)):
         samples = Thresholds(study.task, residual=1e9, window=Windows(window, window))
         truth, seen = (

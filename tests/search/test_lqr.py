@@ -152,7 +152,6 @@ def test_a_late_model_is_regulated_with_its_memory() -> None:
     linear = linearised(model)
     assert linear.A.shape == (6 + model.nominal.state_size,) * 2
     K = lqr_gains(linear, 100.0 * np.diag(study.task.input_limit**-2.0))
-    assert K is not None
     blind = np.where(np.arange(len(linear.A)) < 6, K, 0.0)
     radius, without = (np.abs(np.linalg.eigvals(linear.A - linear.B @ gains)).max() for gains in (K, blind))
     assert radius < 1.0 < without
@@ -165,7 +164,6 @@ def test_a_policy_of_the_state_is_lqr_itself() -> None:
     np.testing.assert_allclose(linear.B, [[dt**2], [dt]], atol=1e-9)
     theta, *_ = lqr_policies(model)
     K = lqr_gains(linear, np.diag(10.0 * model.task.input_limit**-2.0))
-    assert K is not None
     np.testing.assert_allclose(signed_exponential(theta), -K[0], rtol=1e-6)
 
 

@@ -54,7 +54,6 @@ def build_twin(time_step: float = 0.001, **changes: Any) -> Bongoboard:
 def experiment(hardware: PymunkBongoboard, torque: float, start: Array = START, seed: int = 0) -> Rollout:
     """An experiment under constant torque, whose record is consistent."""
     rollout = hardware.run(Constant(), np.array([torque]), start, np.random.default_rng(seed))
-    assert rollout.measured is not None
     assert len(rollout.states) == len(rollout.measured) == len(rollout.inputs) + 1
     for values in (rollout.states, rollout.inputs, rollout.measured):
         assert np.isfinite(values).all()

@@ -97,7 +97,6 @@ def _address() -> str:
     )
     atexit.register(folder.cleanup)
     atexit.register(listening.kill)
-    assert listening.stdout is not None
     assert listening.stdout.readline() == b"ready\n"
     return address
 

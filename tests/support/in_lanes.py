@@ -26,7 +26,6 @@ def from_python(function: Callable, inline: bool = True) -> Any:
 
 def corrections(fitted: FittedBias, inputs: Array, n: int = 6) -> Array:
     """What it adds (k, n) at raw inputs (k, n+m), up to LANES of them at a time."""
-    assert fitted.kernel is not None
     correct = from_python(fitted.kernel.function, inline=False)
     values = []
     for first in range(0, len(inputs), LANES):

@@ -91,7 +91,6 @@ def finish(process: subprocess.Popen[str] | Forked, timeout: float = 120) -> tup
 
 def until_trials(process: subprocess.Popen[str] | Forked, count: int) -> None:
     """Read the process' lines until it has told of so many more trials."""
-    assert process.stdout is not None
     for line in process.stdout:
         count -= bool(re.match(r"\[\d+/", line))
         if not count:
@@ -116,7 +115,6 @@ def runs(folder: Path) -> tuple[list[Run], list[Run]]:
     """Parent runs and trials' runs of the store in a folder."""
     client = client_of(folder)
     experiment = client.get_experiment_by_name("simbias")
-    assert experiment is not None
     found = list(client.search_runs([experiment.experiment_id], max_results=1000))
     parents = [run for run in found if "sweep" in run.data.tags]
     return parents, [run for run in found if "mlflow.parentRunId" in run.data.tags]
