@@ -22,8 +22,8 @@ from simbias.search.optimizer.nlopt import Algorithm
 
 SHIPPED = sorted(path.stem for path in (ROOT / "conf" / "optimizer").glob("*.yaml"))
 CONFIGS = {name: shipped("optimizer", name) for name in SHIPPED}
-CONFIGS |= {name: {**CONFIGS["nlopt_direct"], "algorithm": name} for name in get_args(Algorithm)}
-DIRECT = [name for name in CONFIGS if "DIRECT" in name and "RAND" not in name]  # deterministic
+OTHERS = {*get_args(Algorithm)} - {config.get("algorithm") for config in CONFIGS.values()}
+CONFIGS |= {name: {**CONFIGS["nlopt_direct"], "algorithm": name} for name in sorted(OTHERS)}
 BOX = np.full(5, -10.0), np.full(5, 10.0)
 
 
@@ -87,19 +87,11 @@ def minimize(
 
 
 @pytest.mark.slow
-def test_direct_finds_known_minimum() -> None:
-    optimizer = make("nlopt_direct", max_evaluations=3000, relative_tolerance=1e-12)
-    for problem, (objective, lower, upper, minimum) in PROBLEMS.items():
-        optimum = minimize(optimizer, objective, lower, upper)
-        assert optimum.cost == pytest.approx(minimum, rel=1e-4, abs=1e-4), problem
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "least"),
     [
-        ("cma", {"sphere": 2, "branin": 2, "rosenbrock": 2, "hartmann6": 1}),  # whose second-best is wide
-        ("hybrid", {"sphere": 2, "branin": 2, "rosenbrock": 2, "hartmann6": 1}),
+        ("cma", {"branin": 2, "rosenbrock": 2, "hartmann6": 1}),  # whose second-best is wide
+        ("hybrid", {"branin": 2, "rosenbrock": 2, "hartmann6": 1}),
         ("nlopt_crs", {"sphere": 2, "branin": 1}),  # a chance improvement below the tolerance ends CRS2 early
     ],
 )
@@ -113,8 +105,8 @@ def test_random_search_finds_known_minimum(name: str, least: dict[str, int]) -> 
         assert found >= at_least, problem
 
 
-def test_direct_needs_the_published_number_of_evaluations() -> None:
-    """Until within 0.01%: Jones, Perttunen and Stuckman, J. Optim. Theory Appl. 79 (1993), p. 157.
+def test_direct_finds_known_minimum() -> None:
+    """To 0.01% in as many evaluations as D. Jones et al., J. Optim. Theory Appl. 79 (1993), p. 157.
 
     They count whole divisions, here the evaluation itself is counted.
     """
@@ -161,16 +153,14 @@ def boxes(draw: st.DrawFn) -> tuple[Array, Array, Array]:
 @given(box=boxes(), limit=st.integers(1, 150), seed=st.integers(0, 2**32))
 def test_contract(name: str, box: tuple[Array, Array, Array], limit: int, seed: int) -> None:
     lower, upper, target = box
-    watched, again, other = (
-        Watched(lambda x: float(np.sum(((x - target) / (upper - lower)) ** 2))) for _ in range(3)
+    watched, again = (
+        Watched(lambda x: float(np.sum(((x - target) / (upper - lower)) ** 2))) for _ in range(2)
     )
     before = global_state()
     optimum = minimize(make(name, max_evaluations=limit), watched, lower, upper, seed)
-    minimize(make(name, max_evaluations=limit), again, lower, upper, seed)
-    minimize(make(name, max_evaluations=limit), other, lower, upper, seed + 1)
+    deterministic = "direct" in name.lower() and "RAND" not in name  # whatever the seed
+    minimize(make(name, max_evaluations=limit), again, lower, upper, seed + deterministic)
     assert np.array_equal(watched.points, again.points)
-    if name in ("nlopt_direct", *DIRECT):  # whatever the seed
-        assert np.array_equal(watched.points, other.points)
     assert optimum.evaluations == len(watched.costs) <= limit
     assert all((lower <= x).all() and (x <= upper).all() for x in watched.points)
     assert optimum.cost == min(watched.costs)
