@@ -204,52 +204,32 @@ class Zero(WithoutWind):
     parameters = (Parameter("buoyancy", "N", 0.0, 0.1, "log_normal"),)
 
 
-@pytest.mark.parametrize(
-    ("group", "component", "problem"),
-    [
-        ("policy", WritesInto, "WritesInto.act: expected its arguments to be left as they are"),
-        ("policy", Unlimited, "Unlimited.act: expected inputs within [-5.] and [5.]"),
-        ("policy", WindsUp, "WindsUp.act: expected inputs within [-5.] and [5.], got [["),
-        ("policy", Mixes, "Mixes.act: expected for several points what it gives for each"),
-        ("cost", Clips, "Clips.of: expected its arguments to be left as they are"),
-        ("nominal", Parametrised, "Parametrised.with_parameters: expected the model itself"),
-        ("nominal", Twins, "Twins.parameters: expected different names, got ['mass', 'mass']"),
-        ("nominal", Zero, "Zero.parameters: expected buoyancy other than 0, log-normal, got 0.0"),
-    ],
-)
-def test_what_breaks_a_contract_is_told(point_mass: Study, group: str, component: type, problem: str) -> None:
-    own = component() if group == "cost" else component(point_mass.task)
-    first, *_ = problems(replace(point_mass, **{group: own}), group)
-    assert first.startswith(problem)
+BROKEN: list[tuple[str, Callable[[Any], Any], str]] = [
+    ("policy", WritesInto, "WritesInto.act: expected its arguments to be left as they are"),
+    ("policy", Unlimited, "Unlimited.act: expected inputs within [-5.] and [5.]"),
+    ("policy", WindsUp, "WindsUp.act: expected inputs within [-5.] and [5.], got [["),
+    ("policy", Mixes, "Mixes.act: expected for several points what it gives for each"),
+    ("nominal", Parametrised, "Parametrised.with_parameters: expected the model itself"),
+    ("nominal", Twins, "Twins.parameters: expected different names, got ['mass', 'mass']"),
+    ("nominal", Zero, "Zero.parameters: expected buoyancy other than 0, log-normal, got 0.0"),
+    ("identification", lambda _: Fits(lambda *_: None), "Fits.fit: expected a nominal model, got None"),
+    ("identification", lambda _: Fits(twice_as_heavy), "Fits.fit: expected the nominal model's steps"),
+    ("identification", lambda _: Fits(heavier), "Fits.fit: expected the nominal model to be left as it is"),
+    ("samples", lambda _: Picks(lambda data: data.residuals + 1.0), "Picks.select: expected residuals x"),
+    ("samples", lambda _: Picks(lambda data: np.roll(data.residuals, 1)), "Picks.select: expected residuals"),
+    ("cost", lambda _: Clips(), "Clips.of: expected its arguments to be left as they are"),
+    ("cost", lambda _: Remembers(), "Remembers.of: expected 2.49993"),
+    ("cost", lambda _: Jerk(), "Jerk.terms: expected the same shape for each point"),
+    ("evaluation", lambda _: DrawsAgain(), "DrawsAgain.objective: expected the same when it is asked again"),
+]
 
 
-@pytest.mark.parametrize(
-    ("group", "own", "problem"),
-    [
-        (
-            "identification",
-            Fits(lambda nominal, rollouts: None),
-            "Fits.fit: expected a nominal model, got None",
-        ),
-        ("identification", Fits(twice_as_heavy), "Fits.fit: expected the nominal model's steps without"),
-        ("identification", Fits(heavier), "Fits.fit: expected the nominal model to be left as it is"),
-        (
-            "samples",
-            Picks(lambda data: data.residuals + 1.0),
-            "Picks.select: expected residuals x_next - step",
-        ),
-        ("samples", Picks(lambda data: np.roll(data.residuals, 1)), "Picks.select: expected residuals"),
-        ("cost", Remembers(), "Remembers.of: expected 2.49993"),
-        ("cost", Jerk(), "Jerk.terms: expected the same shape for each point"),
-        ("evaluation", DrawsAgain(), "DrawsAgain.objective: expected the same when it is asked again"),
-    ],
-)
-def test_what_remembers_or_gives_something_else_is_told(
-    point_mass: Study, group: str, own: Any, problem: str
-) -> None:
-    own_nominal = copy(point_mass.nominal)  # which one of them changes
-    first, *_ = problems(replace(point_mass, nominal=own_nominal, **{group: own}), group)
-    assert first.startswith(problem)
+def test_what_breaks_a_contract_is_told(point_mass: Study) -> None:
+    for group, component, problem in BROKEN:
+        nominal = copy(point_mass.nominal)  # which one of them changes
+        broken = replace(point_mass, **{"nominal": nominal, group: component(point_mass.task)})
+        first, *_ = problems(broken, group)
+        assert first.startswith(problem)
 
 
 class Adds(FittedBias):
@@ -280,23 +260,20 @@ class Learner(Bias):
         return self._learned(transitions) if len(transitions) else Adds(0.0, 0.0)
 
 
-@pytest.mark.parametrize(
-    ("learned", "problem"),
-    [
-        (lambda data: None, r"Learner.fit: expected a FittedBias, got None \(test_studies.py:\d+\)"),
-        (lambda data: Adds(np.nan, 0.0), r"Adds.correction: expected finite numbers, got nan \(test_.*\)"),
-        (lambda data: Adds(0.0), r"Adds.correction: expected the shape \(2, 2\), got \(2, 1\) \(test_.*\)"),
-        (zeroes, ".* is read-only"),
-    ],
-    ids=["nothing", "nan", "shape", "writes"],
-)
-def test_a_learner_that_breaks_its_contract_is_told_before_a_trial(
-    point_mass: Study, learned: Callable[[Transitions], Any], problem: str
-) -> None:
-    broken = replace(point_mass, bias=Learner(learned))
-    with pytest.raises(ValueError, match=f"^{problem}$"):
-        warm_up(broken)
-    assert problems(broken, "bias")
+LEARNED: list[tuple[Callable[[Transitions], Any], str]] = [
+    (lambda data: None, r"Learner.fit: expected a FittedBias, got None \(test_studies.py:\d+\)"),
+    (lambda data: Adds(np.nan, 0.0), r"Adds.correction: expected finite numbers, got nan \(test_.*\)"),
+    (lambda data: Adds(0.0), r"Adds.correction: expected the shape \(2, 2\), got \(2, 1\) \(test_.*\)"),
+    (zeroes, ".* is read-only"),
+]
+
+
+def test_a_learner_that_breaks_its_contract_is_told_before_a_trial(point_mass: Study) -> None:
+    for learned, problem in LEARNED:
+        broken = replace(point_mass, bias=Learner(learned))
+        with pytest.raises(ValueError, match=f"^{problem}$"):
+            warm_up(broken)
+        assert problems(broken, "bias")
 
 
 def test_writes_are_told_that_raise_nothing_or_in_other_words() -> None:
