@@ -6,14 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from omegaconf import OmegaConf
 
 from simbias.config import Composition, compose, options
 from simbias.config.resources import resource_folder
 
 OF_A_ROBOT = ("task", "nominal", "hardware", "samples", "cost")
-GROUPS = (  # whose options go through the conformance suite; robots have theirs in tests/robots
-    *("policy", "bias", "samples", "cost", "evaluation", "identification", "optimizer"),
-)
+# whose options go through the conformance suite; robots have theirs in tests/robots
+GROUPS = ("policy", "bias", "samples", "cost", "evaluation", "identification", "optimizer")
 MODEL = "gymnasium:envs/mujoco/assets/inverted_pendulum.xml"
 COLUMNS = (  # of tests/recordings
     "hardware.columns={pos1:pos_meas1,pos2:pos_meas2,vel1:vel_meas1,vel2:vel_meas2,"
@@ -77,22 +77,9 @@ def file_of(group: str, option: str) -> Any:
 
 def shipped(group: str, option: str) -> Any:
     """What an option's file says, and those that it begins with; interpolations are not resolved."""
-    config: dict[str, Any] = {}
     own = file_of(group, option)
-    for each in own.pop("defaults", []):
-        if each != "_self_":
-            config = merged(config, shipped(group, each))
-    return merged(config, own)
-
-
-def merged(config: dict[str, Any], more: dict[str, Any]) -> dict[str, Any]:
-    """A config with more values, by key."""
-    both = {
-        key: merged(config[key], more[key])
-        for key in config.keys() & more.keys()
-        if isinstance(config[key], dict) and isinstance(more[key], dict)
-    }
-    return config | more | both
+    first = [shipped(group, each) for each in own.pop("defaults", []) if each != "_self_"]
+    return OmegaConf.to_container(OmegaConf.merge(*first, own))
 
 
 @cache
