@@ -14,7 +14,7 @@ from simbias.core import Model, Nominal, Policy, Quantity, SlowWarning
 from simbias.core.errors import ConfigError
 from simbias.core.parameters import values_at
 from simbias.core.records import Array
-from simbias.learning.bias.none import ZeroBias
+from simbias.learning.bias.none import ConstantBias, ZeroBias
 from simbias.learning.identification.identified import Identified
 from simbias.policy.dynamic_output_feedback import DynamicOutputFeedback
 from simbias.policy.gains import signed_exponential
@@ -65,14 +65,9 @@ def test_an_input_without_a_limit_weighs_as_one_of_a_unit() -> None:
 
 def test_a_bias_moves_the_rest() -> None:
     """A steady wind of 2 N, as a bias, is what the force has to balance."""
-
-    class Wind(ZeroBias):
-        def correction(self, x: Array, u: Array) -> Array:
-            dt = 0.02
-            return np.zeros(x.shape) + 2.0 * dt * np.array([dt, 1.0])
-
-    model = point_mass()
-    x, u = rest(Model(model.task, model.policy, model.nominal, Wind(2)))
+    dt = 0.02
+    wind = ConstantBias(2.0 * dt * np.array([dt, 1.0]), np.zeros(2))
+    x, u = rest(replace(point_mass(), bias=wind))
     assert u == pytest.approx(-2.0, abs=1e-3)
     np.testing.assert_allclose(x, 0.0, atol=1e-3)
 

@@ -87,7 +87,7 @@ def test_where_a_record_continues_its_first_input_was_held() -> None:
     rng = np.random.default_rng(0)
     rollout = Rollout(rng.standard_normal((21, 2)), rng.standard_normal((20, 1)))
     both = rollout.states, rollout.inputs
-    longer = Rollout(*(np.pad(each, ((1500, 0), (0, 0)), "edge") for each in both))
+    longer = Rollout(*(np.pad(each, ((1000, 0), (0, 0)), "edge") for each in both))
     models = [PredictionModel(Lagging(share)) for share in (1.0, 0.3, 0.01)]
     within = replace(rollout, continues=True)
     made = predicted_as_plain(models, Windows.of([within], 10, 5), 1e-12)
