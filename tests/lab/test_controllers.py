@@ -4,6 +4,7 @@ import ast
 import re
 import shutil
 import subprocess
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from point_mass import PointMass
 
-import simbias
 from simbias.core import Policy, Quantity, Task
 from simbias.core.records import Array
 from simbias.lab.requests import verification
@@ -85,22 +85,35 @@ class Periodic(Integral):
         return wave + np.interp(np.round(x[..., :1], 1), [-1.0, 0.0, 0.5], [0.2, -0.1, 0.3]), policy_state
 
 
-def controller(request: ExperimentRequest) -> Any:
-    """The controller in Python."""
+def controller(made: str | ExperimentRequest) -> Any:
+    """The controller of a module in Python, or of a request's."""
     names: dict[str, Any] = {}
-    exec(request.code("a test")[MODULE], names)
+    exec(made if isinstance(made, str) else made.code("a test")[MODULE], names)
     return names["Controller"]()
+
+
+def of_mass(law: type[Integral], theta: float = 0.0) -> ExperimentRequest:
+    """Of a law of the point mass."""
+    task = PointMass()
+    return ExperimentRequest(task, law(task), np.array([theta]), task.start_mean)
+
+
+def bounds_of(task: Task, states: float = np.inf) -> Bounds:
+    """The limits of a task's inputs, and one of all states."""
+    return Bounds(task.input_bounds, np.full(1, np.inf), np.full(2, states), False)
+
+
+def code(policy: Policy, task: Task, theta: Array, bounds: Bounds) -> tuple[str, str]:
+    """A policy in C and Python, whether it agrees or not."""
+    law = formulas_of(policy, task, theta)
+    assert not isinstance(law, str)
+    return c_header(task, law, "", bounds), python_module(task, law, "", bounds)
 
 
 def with_everything(study: Study) -> ExperimentRequest:
     """Of feedback with all that it can remember."""
-    policy = DynamicOutputFeedback(
-        study.task,
-        filter_seconds=0.02,
-        integral_rate=2.0,
-        delay_seconds=0.004,
-        constant=0.1,
-    )
+    options = {"filter_seconds": 0.02, "integral_rate": 2.0, "delay_seconds": 0.004, "constant": 0.1}
+    policy = DynamicOutputFeedback(study.task, **options)  # type: ignore[arg-type]
     theta = np.array([*THETA, 0.01, 1.0, -20.0, 3.0])
     return ExperimentRequest(study.task, policy, theta, study.task.start_mean)
 
@@ -108,15 +121,10 @@ def with_everything(study: Study) -> ExperimentRequest:
 @pytest.mark.slow
 def test_the_code_is_the_policy_over_hundreds_of_frames(study: Study) -> None:
     """In Python and C; at limits, with state and time, after what is no number, of zeros that are equal."""
-    mass = PointMass()
-    own = ExperimentRequest(mass, Integral(mass), np.array([3.0]), mass.start_mean)
-    zeros, periods = (
-        ExperimentRequest(mass, policy(mass), np.zeros(1), mass.start_mean)
-        for policy in (SignsOfZeros, Periodic)
-    )
-    halved = ExperimentRequest(mass, Halved(mass), np.array([3.0]), mass.start_mean)
+    halved = of_mass(Halved, 3.0)
     assert halved.content()["policy"]["class"] == "Halved"
-    for request in (with_everything(study), own, zeros, periods, halved):
+    own = of_mass(Integral, 3.0), of_mass(SignsOfZeros), of_mass(Periodic), halved
+    for request in (with_everything(study), *own):
         assert request.why_no_code == ""
         assert {HEADER, MODULE} <= files(request).keys()
     states = 0.3 * np.random.default_rng(0).standard_normal((50, 6))
@@ -145,8 +153,6 @@ def test_after_what_is_no_number_it_stays_aborted(study: Study) -> None:
 def test_the_header_compiles_without_a_warning_and_refuses_fast_mathematics(
     study: Study, tmp_path: Path
 ) -> None:
-    mass = PointMass()
-    own = ExperimentRequest(mass, Integral(mass), np.array([3.0]), mass.start_mean)
     (tmp_path / "main.c").write_text(
         '#include <string.h>\n#include "controller.h"\n'
         "int main(void) { simbias_controller c; double x[8] = {0}, u[2]; simbias_start(&c);\n"
@@ -154,7 +160,7 @@ def test_the_header_compiles_without_a_warning_and_refuses_fast_mathematics(
         'return !simbias_control(&c, x, u) || strncmp(c.failure, "unsafe_state_", 13); }\n'
     )
     assert COMPILER is not None
-    for request in (own, with_everything(study)):
+    for request in (of_mass(Integral, 3.0), with_everything(study)):
         (tmp_path / "controller.h").write_text(request.code('a "*/ test')[HEADER])
         command = [COMPILER, *STRICT, "-o", tmp_path / "main", tmp_path / "main.c", "-lm"]
         subprocess.run(command, check=True)
@@ -172,12 +178,12 @@ class Different(ExperimentRequest):
 def test_code_that_is_not_the_policy_is_not_written(study: Study) -> None:
     """Whichever of the two it is; a line says so."""
     request = with_everything(study)
-    code = request.code("")
+    right = request.code("")
     for name, language in ((MODULE, "Python"), (HEADER, "C")):
         if language == "C" and COMPILER is None:
             continue
-        wrong = code | {name: code[name].replace("0.21999999999999997", "0.2201")}
-        assert wrong != code
+        wrong = right | {name: right[name].replace("0.21999999999999997", "0.2201")}
+        assert wrong != right
         written = wrong[HEADER], wrong[MODULE]
         said = difference(request.policy, study.task, request.theta, request.bounds, *written)
         assert said.startswith(f"in {language}, frame ")
@@ -192,14 +198,10 @@ def test_code_is_held_against_the_policy_after_an_abort_too(monkeypatch: pytest.
     task = PointMass()
     states = np.repeat([[2.0, 0.0], [0.1, 0.2]], 2, axis=0)
     monkeypatch.setattr(verification, "_sequences", lambda task: [states])
-    request = ExperimentRequest(task, SignsOfZeros(task), np.zeros(1), task.start_mean)
-    bounds = Bounds(task.input_bounds, np.full(1, np.inf), np.ones(2), False)
-    law = formulas_of(request.policy, task, request.theta)
-    assert not isinstance(law, str)
-    header, module = c_header(task, law, "", bounds), python_module(task, law, "", bounds)
-    assert difference(request.policy, task, request.theta, bounds, header, module) == ""
-    wrong = module.replace("0.5 * ", "0.25 * ")
-    said = difference(request.policy, task, request.theta, bounds, header, wrong)
+    law = SignsOfZeros(task), task, np.zeros(1), bounds_of(task, 1.0)
+    header, module = code(*law)
+    assert difference(*law, header, module) == ""
+    said = difference(*law, header, module.replace("0.5 * ", "0.25 * "))
     assert said.startswith("in Python, frame 2 gives abort, u = [0.0, ")
 
 
@@ -211,7 +213,6 @@ class Chaotic(Integral):
         return policy_state, policy_state
 
 
-@pytest.mark.slow
 class AgainstFriction(Integral):
     """A law that makes up for dry friction: any rate at all changes it, and its start is at rest."""
 
@@ -219,25 +220,21 @@ class AgainstFriction(Integral):
         return -theta * x[..., :1] - 0.3 * np.sign(x[..., 1:]), policy_state
 
 
-@pytest.mark.parametrize("kind", [Chaotic, AgainstFriction])
-@pytest.mark.parametrize(("error", "differs"), [(1e-15, False), (1e-6, True), (1.0, True)])
-def test_what_rounding_changes_is_no_difference(kind: type[Integral], error: float, differs: bool) -> None:
+@pytest.mark.slow
+def test_what_rounding_changes_is_no_difference() -> None:
     """Code of a law that is a rounding off is taken, and code of another law is not."""
-    task, theta = PointMass(), np.ones(1)
-    bounds = Bounds(task.input_bounds, np.full(1, np.inf), np.full(2, np.inf), False)
-    law = formulas_of(kind(task), task, theta * (1.0 + error))
-    assert not isinstance(law, str)
-    header, module = c_header(task, law, "", bounds), python_module(task, law, "", bounds)
-    assert bool(difference(kind(task), task, theta, bounds, header, module)) == differs
+    task, bounds = PointMass(), bounds_of(PointMass())
+    for kind, (error, differs) in product((Chaotic, AgainstFriction), ((1e-15, False), (1e-6, True))):
+        made = code(kind(task), task, np.array([1.0 + error]), bounds)
+        assert bool(difference(kind(task), task, np.ones(1), bounds, *made)) == differs, (kind, error)
 
 
 def test_a_policy_that_decides_by_values_says_why() -> None:
-    task = PointMass()
-    request = ExperimentRequest(task, Branching(task), np.zeros(1), task.start_mean)
+    request = of_mass(Branching)
     assert "Branching.act (test_controllers.py:" in request.why_no_code
     assert "it decides by a value" in request.why_no_code
     assert request.code("") == {}
-    words = simbias.core.Policy.law(Integral(task), np.ones(1)).words
+    words = Policy.law(Integral(PointMass()), np.ones(1)).words
     assert words == "u = Integral.act(theta, x, t, policy_state)"
 
 
@@ -248,14 +245,15 @@ def test_limits_are_in_the_request_and_held_by_its_controller(study: Study) -> N
         )
 
     limited = Limited(study.task, study.policy, THETA, study.task.start_mean)
+    module = limited.code("a test")[MODULE]
     content = limited.content()
     assert [state["limit"] for state in content["states"][:2]] == [0.2, None]
     assert (content["inputs"][0]["limit"], content["inputs"][0]["limit_of_change_per_s"]) == (5.0, 2000.0)
-    assert np.abs(controller(limited)(np.zeros(6))).max() == 0.0
+    assert np.abs(controller(module)(np.zeros(6))).max() == 0.0
     for x, failure in (([0.21, 0, 0, 0, 0, 0], "state_alpha_w"), ([0.0, 0, 3.0, 0, 0, 0], "input_torque")):
         with pytest.raises(ValueError, match=f"abort: unsafe_{failure}: x"):
-            controller(limited)(np.array(x))
-    control = controller(limited)
+            controller(module)(np.array(x))
+    control = controller(module)
     assert control(np.array([0.0, 0, 0.1, 0, 0, 0])) == pytest.approx(1.85, abs=0.01)
     with pytest.raises(ValueError, match="abort: unsafe_rate_of_torque"):  # 3.6 N m in a frame of 1 ms
         control(np.array([0.0, 0, -0.1, 0, 0, 0]))
@@ -298,26 +296,21 @@ class Overflowing(Integral):
 
 def test_limits_have_the_names_that_simbias_has_them_by() -> None:
     """Also those of an input or a policy's state that is no number, and with letters of any alphabet."""
-    task = PointMass()
+    task, bounds = PointMass(), bounds_of(PointMass(), 1.0)
     task.states = (Quantity("θ", "rad"), Quantity("φ", "rad"))
-    bounds = Bounds(task.input_bounds, np.full(1, np.inf), np.full(2, 1.0), False)
     for policy, x in (
         (Root(task), [-0.5, 0.0]),
         (Root(task), [2.0, 0.0]),
         (Root(task), [0.0, 2.0]),
         (Overflowing(task), [0.9, 0.0]),
     ):
-        law = formulas_of(policy, task, np.zeros(1))
-        assert not isinstance(law, str)
-        names: dict[str, Any] = {}
-        exec(python_module(task, law, "", bounds), names)
+        header, module = code(policy, task, np.zeros(1), bounds)
         limited = SafetyLimitedPolicy(policy, task, bounds).controller(np.zeros(1), 0.02)
-        made = names["Controller"]()
         with pytest.raises(UnsafeError) as error, np.errstate(all="ignore"):
             limited(np.array(x))
         with pytest.raises(ValueError, match=f"abort: {error.value}: "):
-            made(x)
-        assert f'"{error.value}"' in c_header(task, law, "", bounds)
+            controller(module)(x)
+        assert f'"{error.value}"' in header
 
 
 ENDS = 'a "\\\n\r\0*/?{}é²\u2028'  # of what may end a string, a comment or a line
@@ -336,7 +329,7 @@ def test_words_of_a_config_are_never_code(words: str, worst: str) -> None:
     task.inputs = tuple(Quantity(each.name, said) for each in task.inputs)
     law = formulas_of(Integral(plain), plain, np.array([3.0]))
     assert not isinstance(law, str)
-    bounds = Bounds(plain.input_bounds, np.full(1, np.inf), np.full(2, np.inf), False)
+    bounds = bounds_of(plain)
     for line in harmless(said), python_module(task, law, said, bounds), c_header(task, law, said, bounds):
         assert not set("\\\r\u2028?") & set(line.replace("?", "", line.count(" ? ")))
     modules, headers = (

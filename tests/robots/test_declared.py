@@ -115,12 +115,6 @@ def test_the_order_of_states_counts_in_the_identity() -> None:
     assert one != other
 
 
-def test_the_drawing_is_to_scale() -> None:
-    foot, tip = declared().points(np.array([0.3, 0.1, 0.0, 0.0]))["pole"]
-    np.testing.assert_allclose(foot, [0.3, 0.0])
-    np.testing.assert_allclose(tip - foot, 0.6 * np.array([np.sin(0.1), np.cos(0.1)]))
-
-
 def test_a_file_draws_its_geoms() -> None:
     """Where the equations say that its poles are, which the declared drawing says too."""
     config = shipped_task("double_cartpole")
@@ -164,26 +158,20 @@ def test_a_goal_moves_and_an_angle_wraps_by_a_turn_in_its_unit(unit: str, half: 
     np.testing.assert_allclose(unwound(angles, task.states[:2]), turning, atol=1e-9)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("overrides", "message"),
-    [
-        (["task.states.angle.unit=m"], "^task: angle wraps: expected an angle in rad, .*got the unit m"),
-        (["+task.states.force={unit: N}"], "^task: force: two of time, states, targets, inputs and failure"),
-        (["preset=reacher", "+task.targets.time={unit: s}"], "^task: time: two of time"),
-    ],
-)
-def test_quantities_whose_columns_are_no_two_things(overrides: list[str], message: str) -> None:
-    with one_line(message):
-        simbias.load(["preset=cartpole_swingup", "tracking=none", *overrides])
-
-
-def test_an_own_goal_that_wraps_has_a_turn() -> None:
+def test_each_column_is_of_one_quantity_and_what_wraps_has_a_turn() -> None:
     class Heading(PointMass):
         goals = (Quantity("heading", "degrees", wraps=True),)
 
-    with pytest.raises(ValueError, match=r"^heading wraps: expected an angle in rad, .*got the unit degrees"):
-        check_quantities(Heading())
+    states, time = CARTPOLE["states"] | {"force": {"unit": "N"}}, {"time": {"unit": "m"}}
+    for task, message in (
+        (Heading(), "heading wraps: expected an angle in rad, .*got the unit degrees"),
+        (declared(states=states), "force: two of time, states, targets, inputs and failure have this name"),
+        (declared(targets=time, goal={"position": "0.1 * time"}), "time: two of time"),
+    ):
+        with one_line(f"^{message}", ValueError):
+            check_quantities(task)
+    with one_line("^task: angle wraps: expected an angle in rad, .*got the unit m"):
+        simbias.load(["preset=cartpole_swingup", "tracking=none", "task.states.angle.unit=m"])
 
 
 def test_a_frame_may_take_minutes() -> None:
