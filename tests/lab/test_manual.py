@@ -19,7 +19,7 @@ from simbias.core import HardwareError, Waiting
 from simbias.core.commands import FAILED, SUCCEEDED, WAITING
 from simbias.core.records import Array
 from simbias.lab.checked_hardware import ExperimentConditions
-from simbias.lab.requests import controller
+from simbias.lab.requests import controller, verification
 from simbias.lab.requests.folder import write_request
 from simbias.lab.requests.manual import Manual
 from simbias.lab.requests.request import ExperimentRequest
@@ -29,6 +29,13 @@ from simbias.policy.output_feedback import OutputFeedback
 from simbias.trial.study import Study
 
 OWN = [*(each for each in POINT_MASS if "hardware" not in each), "optimizer.max_evaluations=20"]
+
+
+@pytest.fixture(autouse=True)
+def _few_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Code is held against the policy in Python and for a few frames; `test_controllers.py` does it all."""
+    monkeypatch.setattr(verification, "FRAMES", 10)
+    monkeypatch.setattr(shutil, "which", lambda _: None)
 
 
 def answer(folder: Path) -> None:

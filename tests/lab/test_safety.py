@@ -54,6 +54,30 @@ class Swallowing(Stoppable):
             raise OSError("bus off") from error
 
 
+class EnoughError(Exception):
+    """Ends a trial after its first experiment."""
+
+
+def first_experiment(study: Study) -> Rollout:
+    """That of a trial."""
+    made, observer = list[Rollout](), Observer()
+
+    def end(rollout: Rollout) -> None:
+        made.append(rollout)
+        raise EnoughError
+
+    observer.experimented = end  # type: ignore[method-assign]
+    with pytest.raises(EnoughError):
+        next(study.run(observer))
+    return made[0]
+
+
+@pytest.fixture
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two draws of a prediction are enough where no share of them is asked for."""
+    monkeypatch.setattr(prediction, "DRAWS", 2)
+
+
 def experiment(study: Study, safety: Safety, hardware: type = Stoppable) -> tuple[Rollout, int]:
     """An experiment under limits, and how often the hardware was stopped."""
     robot = hardware(study.task)
@@ -139,7 +163,6 @@ def test_a_measured_state_that_violates_a_criterion_aborts(point_mass: Study) ->
 @pytest.mark.slow
 def test_a_limit_of_nothing_is_bad_input() -> None:
     for override, key in {
-        "hardware.safety.states={angl: 1}": "hardware.safety",
         "hardware.safety.inputs={torque: -1}": "hardware.safety.inputs.torque",
         "hardware.safety.input_rates={angle: 1}": "hardware.safety",
         "+hardware.safety.limits=3": "hardware.safety.limits",
@@ -192,12 +215,9 @@ def test_the_band_holds_what_is_expected(point_mass: Study) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("uncompiled")
-def test_draws_have_the_pushes_of_the_task_and_the_noise_of_the_hardware(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+@pytest.mark.usefixtures("uncompiled", "few")
+def test_draws_have_the_pushes_of_the_task_and_the_noise_of_the_hardware() -> None:
     """What is expected has neither, and starts and models are the same."""
-    monkeypatch.setattr(prediction, "DRAWS", 2)
     quiet = [f"hardware.noise.{kind}_variance=0" for kind in ("position", "angle", "velocity")]
     short, told = ["preset=cartpole_swingup", "task.horizon=50", "task.hold=0.2", "tracking=none"], []
     for pushes, noise in product(([], ["task.pushes=null"]), ([], quiet)):
@@ -242,7 +262,7 @@ def test_preview_shows_and_draws_the_first_experiment(
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("uncompiled")
+@pytest.mark.usefixtures("uncompiled", "few")
 def test_a_policy_beyond_safety_limits_in_simulation_is_told_and_no_success(point_mass: Study) -> None:
     """Searches do not know them."""
     safety = Safety(states={"velocity": 0.1}, input_rates={"force": 1e-3})
@@ -261,11 +281,11 @@ def test_a_policy_beyond_safety_limits_in_simulation_is_told_and_no_success(poin
         assert "cost" not in told
         assert "then fails" not in told
         assert "ABORTS" not in told
-        assert f"0 succeed, {DRAWS} are aborted by hardware.safety, 0 fail." in told
+        assert "0 succeed, 2 are aborted by hardware.safety, 0 fail." in told
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("uncompiled")
+@pytest.mark.usefixtures("uncompiled", "few")
 @pytest.mark.parametrize("preset", ["[pendulum_swingup,scratch]", "reacher"])
 def test_a_preview_is_of_the_first_experiment_whatever_its_policy(preset: str) -> None:
     """A network's, or one that plays random inputs before there is one; with targets that a start has.
@@ -274,18 +294,17 @@ def test_a_preview_is_of_the_first_experiment_whatever_its_policy(preset: str) -
     """
     quick = ["evaluation.rollouts=1", "optimizer.explorations=4", "optimizer.max_evaluations=8"]
     study = simbias.load([f"preset={preset}", "tracking=none", "task.horizon=20", "task.hold=0.1", *quick])
-    prediction, made, observer = first_prediction(study), list[Rollout](), Observer()
-    observer.experimented = made.append  # type: ignore[method-assign]
-    next(study.run(observer))
-    np.testing.assert_allclose(prediction.expected.states[0], made[0].states[0])
-    np.testing.assert_allclose(prediction.expected.inputs[0], made[0].inputs[0], atol=0.5)  # N m; it is noisy
-    assert len(prediction.draws) == DRAWS
+    prediction, made = first_prediction(study), first_experiment(study)
+    np.testing.assert_allclose(prediction.expected.states[0], made.states[0])
+    np.testing.assert_allclose(prediction.expected.inputs[0], made.inputs[0], atol=0.5)  # N m; it is noisy
+    assert len(prediction.draws) == 2
     told = "\n".join(describe(study, prediction, study.conditions.safety.bounds(study.task)))
     blind = "scratch" in preset  # the inputs are known, without a model nothing else is
     assert ("There is no model, so nothing is known of the states before" in told) == blind
     assert ("Predicted: " not in told and study.task.states[0].name not in told) == blind
     ideal = replace(study, method=Ideal(rollouts=1))
-    np.testing.assert_array_equal(first_prediction(ideal).expected.parameters, next(ideal.run()).parameters)
+    expected = first_prediction(ideal).expected.parameters
+    np.testing.assert_array_equal(expected, first_experiment(ideal).parameters)
 
 
 @pytest.mark.slow
