@@ -403,17 +403,18 @@ def test_experiments_are_the_recordings_in_turn(study: Study) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("uncompiled")
 def test_random_experiments_are_the_first_recordings(table: pd.DataFrame, tmp_path: Path) -> None:
     """The policies' have those behind. Other files than CSV are none."""
     for count in range(3):
         table.assign(tau1=count).to_csv(tmp_path / f"{count}.csv", index=False)
     for name in ("0.csv.bak", "1.csvx", "no.csv~"):
         (tmp_path / name).touch()
+    quick = ["optimizer.max_evaluations=2", "evaluation=nominal_start", "task.horizon=50"]
     options = ["random_experiments=2", "max_iterations=1", "experiments=1"]
     study = pendulum(
         *(f"hardware.folder={tmp_path}", "hardware.columns=null", "policy=output_feedback", "bias=none"),
-        *("identification=none", "optimizer.max_evaluations=2", "evaluation=nominal_start"),
-        *("method=model_based", *(f"method.{option}" for option in options)),
+        *("identification=none", "method=model_based", *(f"method.{option}" for option in options), *quick),
     )
     assert [path.name for path in study.hardware.source_files] == ["0.csv", "1.csv", "2.csv"]
     made: list[float] = []

@@ -282,7 +282,7 @@ def test_an_experiment_is_determined_by_its_seed() -> None:
 
 @pytest.mark.slow
 def test_a_policy_that_balances_one_engine_balances_the_others() -> None:
-    task = build_task(horizon=2000)  # without torque, it falls within 0.7 s
+    task = build_task(horizon=1000)  # without torque, it falls within 0.7 s
     for engine in (PymunkBongoboard, *ENGINES):
         made = engine(task).run(OutputFeedback(task), BALANCING, START, np.random.default_rng(0))
         assert made.failure is None
