@@ -11,7 +11,7 @@ from errors import one_line
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from interpreted import assert_alike, interpreted
-from mechanisms import CARTPOLE, DOUBLE, declared, shipped_task
+from mechanisms import CARTPOLE, DOUBLE, declared, drawn_from, shipped_task
 from point_mass import PointMass
 
 import simbias
@@ -117,10 +117,10 @@ def test_the_order_of_states_counts_in_the_identity() -> None:
 
 def test_a_file_draws_its_geoms() -> None:
     """Where the equations say that its poles are, which the declared drawing says too."""
-    config = shipped_task("double_cartpole")
-    of_file = construct({**config, "drawing": None, "figure": {"file": DOUBLE}}, Task, "task")
+    declared_too = construct(shipped_task("double_cartpole"), Task, "task")
+    of_file = drawn_from(file=DOUBLE)
     x = np.array([0.3, 0.1, -0.2, 0.0, 0.0, 0.0])
-    by_file, by_declaration = of_file.points(x), construct(config, Task, "task").points(x)
+    by_file, by_declaration = of_file.points(x), declared_too.points(x)
     for geom, part in (("cpole", "lower_pole"), ("cpole2", "upper_pole")):
         lower_end_first = by_file[geom][np.argsort(by_file[geom][:, 1])]
         np.testing.assert_allclose(lower_end_first, by_declaration[part], atol=1e-6)

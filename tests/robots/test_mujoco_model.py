@@ -298,9 +298,15 @@ def test_a_motor_at_a_site_pushes_along_its_gear(tmp_path: Path) -> None:
         Mujoco(task, str(file))
 
 
-@pytest.mark.parametrize(("joint", "gear"), [("ball", "0.6 0.8 0"), ("free", "0 0 2 0 0 0")])
+@pytest.mark.parametrize(
+    ("joint", "gear", "units"),
+    [
+        ("ball", "0.6 0.8 0", [*4 * [""], *3 * ["rad/s"]]),
+        ("free", "0 0 2 0 0 0", [*3 * ["m"], *4 * [""], *3 * ["m/s"], *3 * ["rad/s"]]),
+    ],
+)
 def test_a_motor_on_a_ball_or_a_free_joint_pushes_along_its_gear(
-    joint: str, gear: str, tmp_path: Path
+    joint: str, gear: str, units: list[str], tmp_path: Path
 ) -> None:
     """With the task's input in N m or N; a gear of zero is refused."""
     file = tmp_path / "body.xml"
@@ -310,17 +316,13 @@ def test_a_motor_on_a_ball_or_a_free_joint_pushes_along_its_gear(
         f'</worldbody><actuator><motor name="push" joint="it" gear="{gear}"/></actuator></mujoco>'
     )
     file.write_text(text)
-    n = {"ball": (4, 3), "free": (7, 6)}[joint]
-    names = [f"q{i}" for i in range(n[0])] + [f"v{i}" for i in range(n[1])]
-    units = {"ball": [""] * 4 + ["rad/s"] * 3, "free": ["m"] * 3 + [""] * 4 + ["m/s"] * 3 + ["rad/s"] * 3}[
-        joint
-    ]
-    states = {name: {"unit": unit} for name, unit in zip(names, units, strict=True)}
-    task = cart_pole(states=states, failure={"far": {"value": "abs(v0)", "above": 5.0}}, drawing=None)
-    start = np.zeros(sum(n))
-    start[n[0] - 4] = 1.0  # the quaternion of no turn
+    states = {f"x{i}": {"unit": unit} for i, unit in enumerate(units)}
+    task = cart_pole(states=states, failure={"far": {"value": "abs(x0)", "above": 5.0}}, drawing=None)
+    start = np.zeros(len(units))
+    start[units.index("")] = 1.0  # the quaternion of no turn
     after = Mujoco(task, str(file)).step(start, np.array([3.0]))
-    assert np.linalg.norm(after[n[0] :]) == pytest.approx(3.0 / 2.0 * 0.02)
+    rates = [unit.endswith("/s") for unit in units]
+    assert np.linalg.norm(after[rates]) == pytest.approx(3.0 / 2.0 * 0.02)
     file.write_text(text.replace(gear, "0 0 0 0 0 0"))
     with pytest.raises(ValueError, match="the motor push has a gear or a gain of zero"):
         Mujoco(task, str(file))
@@ -371,7 +373,9 @@ def test_a_tendons_limit_is_that_of_its_motor(tmp_path: Path) -> None:
 
 
 def test_a_bad_file_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "broken.xml").write_text("<mujoco><worldbody><body/></mujoco>")
     cases: list[tuple[dict[str, Any], str]] = [
+        ({"file": str(tmp_path / "broken.xml")}, "broken.xml: "),
         ({"file": "no.xml"}, f"no such file: no.xml, neither in {Path.cwd()} nor .*; give --config-dir"),
         ({"file": str(tmp_path / "no.xml")}, "no such file: .*/no.xml$"),
         ({"file": "nosuchpackage:a.xml"}, "the package nosuchpackage is not installed"),
@@ -389,21 +393,15 @@ def test_a_bad_file_is_one_line(tmp_path: Path) -> None:
     for arguments, message in cases:
         with one_line(message, ValueError):
             Mujoco(cart_pole(), **{"file": mjcf(tmp_path), **arguments})
-
-
-def test_a_file_that_does_not_go_with_the_task_is_one_line(tmp_path: Path) -> None:
-    (tmp_path / "broken.xml").write_text("<mujoco><worldbody><body/></mujoco>")
     servo = '<position name="push" joint="slider" kp="10" timeconst="0.1"/>'
-    strong = cart_pole(inputs={"force": {"unit": "N", "limit": 30.0}})
-    for task, actuators, message in (
-        (cart_pole(), None, "broken.xml: "),
-        (strong, MOTOR, r"the task's input may be 30; the actuator push gives 20 \(N; a motor's inputs are"),
-        (cart_pole(), servo, "actuators with a state of their own are not supported: push; take away"),
-        (cart_pole(), "", "the task has 1 inputs"),
+    for limit, actuators, message in (
+        (30.0, MOTOR, r"the task's input may be 30; the actuator push gives 20 \(N; a motor's inputs are"),
+        (20.0, servo, "actuators with a state of their own are not supported: push; take away"),
+        (20.0, "", "the task has 1 inputs"),
     ):
-        broken = str(tmp_path / "broken.xml")
         with one_line(message, ValueError):
-            Mujoco(task, broken if actuators is None else mjcf(tmp_path, actuators=actuators))
+            task = cart_pole(inputs={"force": {"unit": "N", "limit": limit}})
+            Mujoco(task, mjcf(tmp_path, actuators=actuators))
 
 
 def test_a_task_reads_its_states_in_the_order_of_the_models_joints(tmp_path: Path) -> None:
@@ -417,13 +415,11 @@ def test_a_task_reads_its_states_in_the_order_of_the_models_joints(tmp_path: Pat
     foot = task.points(x)["rod"][1]
     np.testing.assert_allclose(foot, [0.5, 0.0], atol=1e-12)
     assert Mujoco(task, file).step(x, np.array([20.0]))[3] > 0
-    with one_line("joints: hinge, slider are not in the order of task.figure or task.sensors", ValueError):
-        Mujoco(cart_pole(figure={"file": file}), file, joints=["hinge", "slider"])
     other = tmp_path / "other.xml"  # a figure of other joints
     other.write_text(Path(file).read_text().replace('name="hinge"', 'name="knee"'))
-    task = cart_pole(figure={"file": str(other)}, sensors={"file": file})
-    with one_line("joints: hinge, slider are not in the order of task.figure or task.sensors", ValueError):
-        Mujoco(task, file, joints=["hinge", "slider"])
+    for read in ({"figure": {"file": file}}, {"figure": {"file": str(other)}, "sensors": {"file": file}}):
+        with one_line("joints: hinge, slider are not in the order of task.figure or task.sens", ValueError):
+            Mujoco(cart_pole(**read), file, joints=["hinge", "slider"])
 
 
 def test_a_policy_that_predicts_by_the_engine_is_no_code_and_says_so() -> None:

@@ -11,12 +11,10 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from conftest import ROOT
-from mechanisms import DOUBLE, cart_pole, shipped_task
+from conftest import PYTHONPATH
+from mechanisms import DOUBLE, cart_pole, drawn_from
 from scipy.spatial import ConvexHull
 
-from simbias.config.components import construct
-from simbias.core import Task
 from simbias.core.records import Array
 from simbias.pictures.elements.drawing import drawing_of, movement_of
 from simbias.robots.mujoco.rendering import Image
@@ -33,11 +31,6 @@ ROBOT = """
   <actuator><motor name="push" joint="slider" gear="20"/></actuator>
 </mujoco>
 """
-
-
-def drawn_from(**figure: Any) -> Any:
-    """The double cart-pole, drawn from a file."""
-    return construct({**shipped_task("double_cartpole"), "drawing": None, "figure": figure}, Task, "task")
 
 
 def slider(file: Path, unit: str = "m") -> Any:
@@ -109,18 +102,16 @@ def test_what_a_stick_figure_lacks_is_rendered_moved_and_tinted(tmp_path: Path) 
 @pytest.mark.slow
 def test_without_opengl_a_stick_figure_is_drawn() -> None:
     """As on a machine that has no such device; it is said once."""
-    paths = [str(Path(__file__).parent), str(ROOT / "tests"), str(ROOT / "tests" / "support")]
-    code = f"""
-import sys; sys.path[:0] = {paths}
+    code = """
 import warnings, numpy as np
-from {Path(__file__).stem} import drawn_from, DOUBLE
+from mechanisms import DOUBLE, drawn_from
 task = drawn_from(file=DOUBLE, rendered=True)
 with warnings.catch_warnings(record=True) as said:
     warnings.simplefilter("always")
     assert task.image(np.zeros(6)) is None and task.image(np.zeros(6)) is None
 print([str(each.message) for each in said])
 """
-    environment = {"MUJOCO_EGL_DEVICE_ID": "99", "PATH": ""}
+    environment = {"MUJOCO_EGL_DEVICE_ID": "99", "PATH": "", "PYTHONPATH": PYTHONPATH}
     command = [sys.executable, "-c", code]
     made = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
     said = "a stick figure is drawn: OpenGL cannot run here without a screen (EGL)"
