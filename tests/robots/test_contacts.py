@@ -63,11 +63,8 @@ def test_equations_are_the_engines_at_equal_parameters() -> None:
 def test_what_the_ball_gets_the_cup_loses() -> None:
     """Momentum along x, without damping of the rails: string and walls act on both."""
     study = loaded("ball_in_cup", cup_mass=0.5, ball_mass=0.2)
-    for start in (
-        [0, 0, 0.3, -0.3, 0, 0, 1, 2],
-        [0, 0, 0.0, 0.1, 0.1, 0, 0.5, -2],
-        [0, 0, 0.2, 0.05, 0, 0, -3, 0],
-    ):
+    starts = [0, 0, 0.3, -0.3, 0, 0, 1, 2], [0, 0, 0, 0.1, 0.1, 0, 0.5, -2], [0, 0, 0.2, 0.05, 0, 0, -3, 0]
+    for start in starts:
         states = rolled(study.nominal, start, np.zeros((40, 2)))
         momentum = 0.5 * states[:, 4] + 0.2 * states[:, 6]
         np.testing.assert_allclose(momentum, momentum[0], atol=1e-12)
@@ -77,23 +74,19 @@ def test_what_the_ball_gets_the_cup_loses() -> None:
 def test_a_hopper_in_the_air_flies_as_its_centre_of_mass() -> None:
     """A parabola, and angular momentum about it is kept, whatever the joints do, to the step's order."""
     study = loaded("hopper", torso_mass=4.0, torso_inertia=0.2)
-    t = study.task.time_step * np.arange(40)
-    inputs = np.stack([5 * np.sin(20 * t), 40 * np.cos(15 * t)], axis=1)
+    t = study.task.time_step * np.arange(41)
+    inputs = np.stack([5 * np.sin(20 * t), 40 * np.cos(15 * t)], axis=1)[:-1]
     x = rolled(study.nominal, [0, 2, 0.1, 0.2, 0, 0.5, 1, 1, -2, 0], inputs)
     leg, turn = x[:, 2] + x[:, 3], x[:, 7] + x[:, 8]
     along = np.stack([-np.sin(leg), -np.cos(leg)], axis=1)
     across = np.stack([-np.cos(leg), np.sin(leg)], axis=1)
     masses = np.array([4.0, UPPER_MASS, FOOT_MASS])
     places, velocities = [], []
-    for far, rate in (
-        (0 * leg, 0 * leg),
-        (UPPER_CENTRE + 0 * leg, 0 * leg),
-        (FOOT_CENTRE + x[:, 4], x[:, 9]),
-    ):
+    zero = 0 * leg
+    for far, rate in ((zero, zero), (UPPER_CENTRE + zero, zero), (FOOT_CENTRE + x[:, 4], x[:, 9])):
         places.append(x[:, :2] + far[:, None] * along)
         velocities.append(x[:, 5:7] + (far * turn)[:, None] * across + rate[:, None] * along)
     centre, velocity = (np.average(each, axis=0, weights=masses) for each in (places, velocities))
-    t = study.task.time_step * np.arange(len(x))
     np.testing.assert_allclose(velocity[:, 0], velocity[0, 0], atol=0.02)
     np.testing.assert_allclose(velocity[:, 1], velocity[0, 1] - 9.81 * t, atol=0.03)
     np.testing.assert_allclose(centre[:, 1], centre[0, 1] + velocity[0, 1] * t - 4.905 * t**2, atol=0.01)

@@ -68,10 +68,8 @@ def test_a_pole_is_held_upright_after_few_experiments() -> None:
     iterations = list(run_trial(study).iterations)
     assert iterations[-1].succeeded
     assert iterations[-1].total_experiments <= 6
-    drawn = [
-        axes for axes in overview(study, iterations).axes if len(axes.patches) == len(study.task.drawing)
-    ]
-    assert len(drawn) >= 2
+    parts = [len(axes.patches) for axes in overview(study, iterations).axes]
+    assert parts.count(len(study.task.drawing)) >= 2
     file = BytesIO()
-    save_animation(study, iterations, file)
+    save_animation(study, iterations[-1:], file)
     assert Image.open(file).n_frames > 20
