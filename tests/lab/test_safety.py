@@ -122,17 +122,13 @@ def test_a_hardware_that_does_not_ask_the_controller_is_held_against_the_limits(
 
     free, _ = experiment(point_mass, Safety())
     aborted, _ = experiment(point_mass, Safety(states={"velocity": 0.3}), Own)
-    assert_equal(aborted, replace(free, **_up_to(free, aborted.frames), cost=aborted.cost))
+    k = aborted.frames
+    failed = {"failed_at": k, "failure": "unsafe_state_velocity", "cost": aborted.cost}
+    assert_equal(aborted, replace(free, states=free.states[: k + 1], inputs=free.inputs[:k], **failed))
     assert np.abs(aborted.states[-1, 1]) > 0.3 >= np.abs(aborted.states[:-1, 1]).max()
     for safety in (Safety(inputs={"force": 3.9}), Safety(input_rates={"force": 5.0})):
         with pytest.raises(HardwareError, match=r"^Own\.run: inputs: .*\(hardware\.safety\), got "):
             experiment(point_mass, safety, Own)
-
-
-def _up_to(rollout: Rollout, frame: int) -> dict[str, Any]:
-    """What a rollout is that was aborted in a frame for its velocity."""
-    failed = {"failed_at": frame, "failure": "unsafe_state_velocity"}
-    return {"states": rollout.states[: frame + 1], "inputs": rollout.inputs[:frame], **failed}
 
 
 def test_limits_that_nothing_exceeds_change_nothing(point_mass: Study) -> None:

@@ -78,8 +78,10 @@ def test_noise_is_in_proportion_to_motion() -> None:
 
 
 @pytest.mark.slow
-def test_rotors_are_asked_only_to_push() -> None:
+@pytest.mark.usefixtures("plain_predictions")
+def test_rotors_are_asked_only_to_push(monkeypatch: pytest.MonkeyPatch) -> None:
     """From 0 to 12 N, or to a limit of the lab; torques of either sign are as large as they may be."""
+    monkeypatch.setattr("simbias.recordings.excitation.MODELS", 2)
     pushes = ["preset=quadrotor_square", "identification=posterior", "bias=none", "tracking=none"]
     for safety, most in ((), 12.0), (("hardware.safety.inputs={thrust: 9}",), 9.0):
         flying = simbias.load([*pushes, *safety])
@@ -119,16 +121,16 @@ def test_inputs_are_designed_within_limits_that_there_are() -> None:
 
 @pytest.mark.slow
 def test_what_is_designed_tells_more_than_a_labs_chirps(study: Study, lab: Rollout) -> None:
-    """Within the limits that the lab kept, on the same models: posteriors of six robots are smaller, and
+    """Within the limits that the lab kept, on the same models: posteriors of four robots are smaller, and
     nearer to the truth.
     """
     designer = Designer(study, study.nominal, NOISE)
-    found = designer.design(2.0, 200, np.random.default_rng(0))
+    found = designer.design(2.0, 100, np.random.default_rng(0))
     chirps = designer.rated(lab.inputs)
     assert chirps is not None
     takes = [Take(study.task.start_mean, each.rollout.inputs) for each in (chirps, found)]
     rng, volumes, errors = np.random.default_rng(1), [], []
-    for _ in range(6):
+    for _ in range(4):
         z = rng.standard_normal(len(study.nominal.parameters))
         robot = study.nominal.with_parameters(values_at(study.nominal.parameters, z))
         fits = [
@@ -198,7 +200,7 @@ def test_recordings_are_measured_when_the_lab_measures(study: Study) -> None:
     assert set(np.flatnonzero(bends) % 5) == {4}
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("plain_predictions")
 def test_a_late_motor_acts_at_once_only_where_a_recording_continues() -> None:
     study = limited("+identification.motors.tau1={delay: 0.02}")
     rig = study.identification.prior(study.nominal)  # type: ignore[attr-defined]
@@ -260,7 +262,7 @@ def test_a_bad_request_is_refused_in_one_line(
 def test_the_commands(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("simbias.terminal.excite.TRAJECTORIES", 40)
+    monkeypatch.setattr("simbias.terminal.excite.TRAJECTORIES", 10)
     arguments = ["preset=double_pendulum", *QUICK[1:], "hardware.safety.states={vel1: 12, vel2: 15}"]
     assert main(["excite", *arguments, "--seconds", "1", "--into", "torques.csv"]) == 0
     out = capsys.readouterr().out
