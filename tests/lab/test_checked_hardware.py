@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from conftest import PYTHONPATH
 from faulty_hardware import CONVERTED, LEFT, RAISED, RETURNED
+from labs import THETA
 from processes import INTERRUPTIBLE, wait_for
 from records import assert_equal
 
@@ -64,7 +65,6 @@ LINES = {
     "no frame of failure": "run: failure: expected None without failed_at, got 'distance'",
     "sensed": "run: sensed: expected true or false, got 'yes'",
 }
-THETA = np.array([4.0, 4.0, -2.0])
 
 
 class Doing(Hardware):

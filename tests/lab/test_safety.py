@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import OWN_CONF, POINT_MASS
+from labs import THETA
 from point_mass import InTheWind
 from records import assert_equal
 
@@ -31,7 +32,6 @@ from simbias.trial.run import run_trial
 from simbias.trial.study import Study
 from simbias.trial.summary import Outcome
 
-THETA = np.array([4.0, 4.0, -2.0])
 START = np.array([0.5, 0.0])
 
 

@@ -223,12 +223,7 @@ def test_only_plain_digits_are_numbers(tmp_path: Path) -> None:
     style=st.sampled_from([",", ";", "; and decimal commas"]),
 )
 def test_a_file_is_read_as_it_was_written_or_refused(
-    tmp_path: Path,
-    start: tuple[float, float],
-    seed: int,
-    row: int,
-    damage: str,
-    style: str,
+    tmp_path: Path, start: tuple[float, float], seed: int, row: int, damage: str, style: str
 ) -> None:
     """Whatever the numbers: none is taken for another one."""
     rng = np.random.default_rng(seed)
@@ -272,9 +267,8 @@ def test_a_failure_is_that_of_the_first_state_beyond_a_limit(tmp_path: Path) -> 
 
 def test_what_comes_back_is_held_against_the_safety_limits(tmp_path: Path) -> None:
     """Beyond a state's limit the experiment has ended; an input beyond its own nobody should have sent."""
-    path = written(tmp_path, moving())
     limited = requested(TASK, REQUEST.start, Safety(states={"position": 0.5, "velocity": 1.5}))
-    assert read(path, limited).failure is None
+    assert read(written(tmp_path, moving()), limited).failure is None
     path = written(tmp_path, cell(8, 2, "-1.6")(moving()))
     rollout = read(path, limited)
     assert (rollout.failed_at, rollout.failure, len(rollout.states)) == (6, "unsafe_state_velocity", 7)
@@ -350,8 +344,7 @@ def test_nothing_acts_after_the_last_frame(tmp_path: Path) -> None:
     class Pushed(PointMass):
         input_bounds = (np.array([1.0]), np.array([5.0]))
 
-    task, times, (states, _) = Pushed(horizon=20), TIMES, motion(TIMES)
-    text = lines(HEADER, np.column_stack([times, states, np.full(len(times), 2.0)]))
-    blank = ",".join([*text[-1].split(",")[:3], "", ""])
-    rollout = read(written(tmp_path, [*text[:-1], blank]), requested(task, np.array([0.5, -1.0])))
+    text = lines(HEADER, np.column_stack([TIMES, motion(TIMES)[0], np.full(len(TIMES), 2.0)]))
+    blank = cell(len(text), 3, "")(text)
+    rollout = read(written(tmp_path, blank), requested(Pushed(horizon=20), np.array([0.5, -1.0])))
     np.testing.assert_allclose(rollout.inputs, 2.0)

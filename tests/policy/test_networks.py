@@ -222,12 +222,12 @@ def test_a_kalman_filter_is_that_of_the_inputs_which_hold_the_robot() -> None:
     assert (np.sqrt(np.mean(np.square(errors[200:]), axis=0)) < 0.5 * 0.01).all()  # of what is measured
 
 
-def test_with_targets_a_kalman_filter_is_that_of_the_mean_start() -> None:
+def test_with_targets_a_kalman_filter_is_that_of_the_mean_start(cartpole: Study) -> None:
     """A robot has no goal of its own; one upright at zero would be another."""
     targets = {"place": {"unit": "m", "uniform": [0.1, 0.5]}}
     task = declared(targets=targets, goal={"position": "place"}).without_targets
     task.start_mean = np.array([0.2, 0.3, 0.0, 0.0])
-    x, _ = KalmanFilter(task, simbias.load(["preset=cartpole"]).nominal)._balance()
+    x, _ = KalmanFilter(task, cartpole.nominal)._balance()
     np.testing.assert_array_equal(x, task.start_mean)
     assert task.error(x, 0.0).shape == (0,)
 

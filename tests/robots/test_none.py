@@ -10,17 +10,21 @@ from simbias.core import Quantity
 from simbias.robots.none import NoNominal
 from simbias.trial.observer import Observer
 from simbias.trial.steps import search
+from simbias.trial.study import Study
 
 SCRATCH = ["preset=[pendulum_swingup,scratch]", "tracking=none"]
 
 
+@pytest.fixture(scope="module")
+def study() -> Study:
+    return simbias.load(SCRATCH)
+
+
 @pytest.mark.slow
-def test_without_a_model_nothing_moves_or_positions_by_their_rates() -> None:
+def test_without_a_model_nothing_moves_or_positions_by_their_rates(study: Study) -> None:
     """What is left of a semi-implicit step is its acceleration, in rate and position."""
     x, u = np.array([[0.3, -2.0], [3.1, 4.0]]), np.ones((2, 1))
-    still = simbias.load([*SCRATCH, "nominal.kinematics=false"]).nominal
-    np.testing.assert_array_equal(still.step(x, u), x)
-    study = simbias.load(SCRATCH)
+    np.testing.assert_array_equal(NoNominal(study.task).step(x, u), x)
     h = study.task.time_step
     np.testing.assert_allclose(study.nominal.step(x, u), x + h * x[:, 1:] * [1.0, 0.0], rtol=1e-15)
     rates = x[:, 1:] + h * np.array([[5.0], [-7.0]])
@@ -29,8 +33,8 @@ def test_without_a_model_nothing_moves_or_positions_by_their_rates() -> None:
 
 
 @pytest.mark.slow
-def test_positions_without_rates_of_their_own_are_refused() -> None:
-    task = copy(simbias.load(SCRATCH).task)
+def test_positions_without_rates_of_their_own_are_refused(study: Study) -> None:
+    task = copy(study.task)
     task.states = (*task.states, Quantity("other", "rad"))
     with pytest.raises(ValueError, match="the task has not a rate for each position"):
         NoNominal(task, kinematics=True)
