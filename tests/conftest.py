@@ -3,6 +3,7 @@ import os
 import re
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from threadpoolctl import threadpool_limits
 
 import simbias
 from simbias.core.cache import cache_folder
+from simbias.search.optimizer.nlopt import Nlopt
 from simbias.trial.study import Study
 from simbias.trial.warm_up import warm_up
 
@@ -120,3 +122,10 @@ def plain_predictions(monkeypatch: pytest.MonkeyPatch) -> None:
 def point_mass() -> Study:
     """A study of one's own plain components; DIRECT's evaluations are few, for speed."""
     return simbias.load([*POINT_MASS, "tracking=none", "optimizer.max_evaluations=150"], OWN_CONF)
+
+
+@pytest.fixture
+def hasty(point_mass: Study) -> Study:
+    """The same, with searches of 20 policies, where it does not matter which one is found."""
+    few = Nlopt(algorithm="GN_DIRECT", max_evaluations=20, relative_tolerance=1e-6)
+    return replace(point_mass, optimizer=few)

@@ -1,13 +1,14 @@
-"""Searches and experiments on hardware that have the costs that a test says; a method by chance."""
+"""Searches and experiments that have the costs that a test says; a method by chance; a listener."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from point_mass import PointMass
 
 from simbias.core import Evaluation, Hardware
-from simbias.core.records import Iteration, Rollout
+from simbias.core.records import Array, Iteration, Rollout
 from simbias.trial.method import Method
 from simbias.trial.observer import Observer
 from simbias.trial.steps import experiment
@@ -67,6 +68,25 @@ class Guessing(Method):
             succeeded = np.bool_(self.succeeds and index == 1)
             count = np.int64(self.counts_from + 2 * (index + 1))
             yield Iteration(index, theta, made, cost, succeeded, count)  # type: ignore[arg-type]
+
+
+class Listener(Observer):
+    """Notes what it hears, and of what."""
+
+    def __init__(self) -> None:
+        self.heard: list[tuple[str, Any]] = []
+
+    def searching(self, evaluations: int, best_cost: float) -> None:
+        self.heard.append(("searching", evaluations))
+
+    def experimenting(self, theta: Array, start: Array) -> None:
+        self.heard.append(("experimenting", (theta, start)))
+
+    def experimented(self, rollout: Rollout) -> None:
+        self.heard.append(("experimented", rollout))
+
+    def iterated(self, iteration: Iteration) -> None:
+        self.heard.append(("iterated", iteration.index))
 
 
 def scripted(

@@ -176,11 +176,11 @@ class Diverging(Bias):
 
 
 @pytest.mark.usefixtures("uncompiled")
-def test_a_learner_whose_correction_is_not_finite_ends_the_trial(point_mass: Study, folder: Path) -> None:
+def test_a_learner_whose_correction_is_not_finite_ends_the_trial(hasty: Study, folder: Path) -> None:
     """Before an experiment with a policy of its model; mended, the trial resumes as uninterrupted."""
-    vars(point_mass.cost)["max_cost"] = 1e-3  # never reached
+    vars(hasty.cost)["max_cost"] = 1e-3  # never reached
     method = ModelBased(max_iterations=3, experiments=1, keep_data=True)
-    mended = replace(point_mass, method=method, bias=Diverging(mended=True))
+    mended = replace(hasty, method=method, bias=Diverging(mended=True))
     record = run_trial(replace(mended, bias=Diverging()), folder)
     reason = "ValueError: ConstantBias.correction: expected finite numbers, got inf (none.py:"
     assert record.summary.reason.startswith(reason)

@@ -34,6 +34,7 @@ class Gusty(InTheWind):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("uncompiled")
 def test_what_is_wrong_is_one_line(point_mass: Study) -> None:
     for wrong, problem in (
         ({}, ""),
@@ -56,9 +57,8 @@ def test_what_is_wrong_is_one_line(point_mass: Study) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("uncompiled")
-def test_methods_that_ship_pass(point_mass: Study) -> None:
-    few = simbias.load(["optimizer.max_evaluations=20"]).optimizer
-    study = replace(point_mass, policy=OutputFeedback(point_mass.task), optimizer=few)
+def test_methods_that_ship_pass(hasty: Study) -> None:
+    study = replace(hasty, policy=OutputFeedback(hasty.task))
     for method in (Algorithm1(2), ModelBased(2), Lqr()):
         assert [verdict.problem for verdict in verdicts(replace(study, method=method), ["method"])] == [""]
 
@@ -98,7 +98,7 @@ def test_a_policy_that_is_tried_again_is_told_without_a_search(point_mass: Study
 def test_lqr_of_the_identified_model_is_designed_again(tmp_path: Path) -> None:
     """Until it balances two poles by a motor that is weaker than its model's; read back, all is as it was."""
     lqr = ["preset=double_cartpole", "method=lqr", "method.identified=true"]
-    quick = ["identification.starts=1", "identification.rounds=1", "task.horizon=40"]  # it falls within 16
+    quick = ["identification.starts=1", "identification.rounds=1", "task.horizon=20"]  # it falls within 16
     study = simbias.load([*lqr, *quick, "tracking=none"])
     first, again = (run_trial(study, tmp_path / study.hash) for _ in range(2))
     assert first.outcome is Outcome.SUCCEEDED

@@ -71,10 +71,10 @@ def test_an_iteration_may_stop_at_its_first_failure(point_mass: Study) -> None:
 
 
 @pytest.mark.slow
-def test_stopping_early_changes_no_later_start(point_mass: Study) -> None:
+def test_stopping_early_changes_no_later_start(hasty: Study) -> None:
     """Iterations compare on common random numbers."""
     whole, stopped = (
-        list(replace(point_mass, bias=NoBias(), method=ModelBased(3, stop_at_failure=stop)).run())
+        list(replace(hasty, bias=NoBias(), method=ModelBased(3, stop_at_failure=stop)).run())
         for stop in (False, True)
     )
     assert [len(i.experiments) for i in stopped] == [1, 1, 1]
@@ -156,12 +156,12 @@ class Recorded(NominalStart):
 
 
 @pytest.mark.slow
-def test_a_search_may_begin_with_lqr(point_mass: Study) -> None:
+def test_a_search_may_begin_with_lqr(hasty: Study) -> None:
     study = replace(
-        point_mass,
-        evaluation=Recorded(point_mass.task),
+        hasty,
+        evaluation=Recorded(hasty.task),
         bias=NoBias(),
-        policy=OutputFeedback(point_mass.task),
+        policy=OutputFeedback(hasty.task),
         method=ModelBased(1, lqr_candidates=1),
     )
     list(study.run())
@@ -171,11 +171,9 @@ def test_a_search_may_begin_with_lqr(point_mass: Study) -> None:
 
 
 @pytest.mark.slow
-def test_a_search_may_begin_with_the_last_policy_or_with_that_of_a_file(
-    point_mass: Study, tmp_path: Path
-) -> None:
+def test_a_search_may_begin_with_the_last_policy_or_with_that_of_a_file(hasty: Study, tmp_path: Path) -> None:
     task = PointMass(horizon=FRAMES)
-    study = replace(point_mass, task=task, evaluation=Recorded(task), bias=NoBias())
+    study = replace(hasty, task=task, evaluation=Recorded(task), bias=NoBias())
     searches = study.evaluation.searches
     for from_last in (True, False):
         searches.clear()
@@ -201,13 +199,11 @@ def test_a_search_may_begin_with_the_last_policy_or_with_that_of_a_file(
 
 @pytest.mark.slow
 def test_a_search_that_is_replayed_designs_no_lqr(
-    point_mass: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    hasty: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     models: list[Model] = []
     monkeypatch.setattr(lqr, "lqr_policies", lambda model, **_: models.append(model) or lqr_policies(model))
-    study = replace(
-        point_mass, policy=OutputFeedback(point_mass.task), method=ModelBased(1, lqr_candidates=2)
-    )
+    study = replace(hasty, policy=OutputFeedback(hasty.task), method=ModelBased(1, lqr_candidates=2))
     policies = [run_trial(study, tmp_path / study.hash).iterations[0].parameters for _ in range(2)]
     assert len(models) == 2
     np.testing.assert_array_equal(*policies)
@@ -228,9 +224,9 @@ def test_success_may_ask_for_more_passes(point_mass: Study) -> None:
 
 
 @pytest.mark.slow
-def test_random_experiments_come_first_and_are_learned_from(point_mass: Study) -> None:
+def test_random_experiments_come_first_and_are_learned_from(hasty: Study) -> None:
     """Inputs at the knots are at the limits; the first search knows what was learned; they count."""
-    study = replace(point_mass, method=ModelBased(max_iterations=1, random_experiments=2))
+    study = replace(hasty, method=ModelBased(max_iterations=1, random_experiments=2))
     made: list[Rollout] = []
 
     class Made(Observer):

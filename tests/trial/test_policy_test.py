@@ -31,7 +31,7 @@ def study(*overrides: str) -> Study:
 @pytest.mark.slow
 def test_it_changes_nothing_in_a_trial() -> None:
     plain = study()
-    tested = study("policy_test.episodes=3", "policy_test.long_episodes=1", "policy_test.long_seconds=9")
+    tested = study("policy_test.episodes=3", "policy_test.long_episodes=1", "policy_test.long_seconds=3")
     assert plain.hash == tested.hash
     without, record = timeless(run_trial(plain)), timeless(run_trial(tested))
     assert without.policy_test is None
@@ -58,11 +58,11 @@ def test_a_trial_that_has_ended_without_it_stays_so(tmp_path: Path, caplog: pyte
 @pytest.mark.slow
 def test_its_file_is_written_anew_where_it_was_damaged(tmp_path: Path) -> None:
     """But not by a command that asks for another test."""
-    tested = ("policy_test.episodes=3", "policy_test.long_episodes=1", "policy_test.long_seconds=9")
+    tested = ("policy_test.episodes=3", "policy_test.long_episodes=1", "policy_test.long_seconds=3")
     run_trial(study(*tested), tmp_path)
     right = (tmp_path / EPISODES).read_bytes()
     (tmp_path / EPISODES).write_bytes(right[:-9])
-    run_trial(study(*tested[:2], "policy_test.long_seconds=10"), tmp_path)
+    run_trial(study(*tested[:2], "policy_test.long_seconds=4"), tmp_path)
     assert (tmp_path / EPISODES).read_bytes() == right[:-9]
     run_trial(study(*tested), tmp_path)
     assert (tmp_path / EPISODES).read_bytes() == right

@@ -51,11 +51,10 @@ METHODS: dict[str, Method] = {
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("uncompiled")
-def test_each_keeps_the_contract_and_is_resumed(point_mass: Study) -> None:
+def test_each_keeps_the_contract_and_is_resumed(hasty: Study) -> None:
     """Counted experiments, no more than it may make, recalled when a trial is started again."""
-    few = replace(point_mass, optimizer=simbias.load(["optimizer.max_evaluations=20"]).optimizer)
     for name, method in METHODS.items():
-        for verdict in verdicts(replace(few, method=method), ["method"]):
+        for verdict in verdicts(replace(hasty, method=method), ["method"]):
             assert not verdict.problem, name
 
 
@@ -68,17 +67,16 @@ def test_ideal_holds_what_the_model_does_not(point_mass: Study) -> None:
 
 
 @pytest.mark.slow
-def test_a_search_on_hardware_moves_no_robot_unasked(point_mass: Study) -> None:
+def test_a_search_on_hardware_moves_no_robot_unasked(hasty: Study) -> None:
     """Nor one that is asked for by `study.ask()`, or held by limits, which the search keeps."""
-    ideal = replace(point_mass, method=Ideal(rollouts=1))
-    real = replace(ideal, hardware=Process(point_mass.task, "true"))
+    ideal = replace(hasty, method=Ideal(rollouts=1))
+    real = replace(ideal, hardware=Process(hasty.task, "true"))
     with pytest.raises(ConfigError, match=r"^method: searches on the hardware itself, but Process is no sim"):
         run_trial(real)
     middle = MultiFidelity(lambda config: real.hardware, {"command": "true"})
     with pytest.raises(ConfigError, match=r"^method\.middle: searches .*, but Process is no simulator"):
-        run_trial(replace(point_mass, method=middle))
-    own, log = counted(point_mass)
-    few = simbias.load(["optimizer.max_evaluations=20"]).optimizer
+        run_trial(replace(hasty, method=middle))
+    own, log = counted(hasty)
     middle = MultiFidelity(lambda config: own.hardware, {})
     refusing = ExperimentConditions(confirm=True, ask=lambda *_: False)
     behind = simbias.load(["preset=double_cartpole", "tracking=none"])
@@ -88,15 +86,15 @@ def test_a_search_on_hardware_moves_no_robot_unasked(point_mass: Study) -> None:
     with pytest.raises(Waiting):
         cost_on_hardware(asked, asked.hardware, np.random.default_rng(0), 1)(np.zeros(6))
     for method in (ideal.method, middle):
-        study = replace(own, method=method, optimizer=few)
+        study = replace(own, method=method)
         with pytest.raises(ConfigError, match=r"^method: searches on hardware, which study.ask\(\)"):
             study.ask()
         assert run_trial(replace(study, conditions=refusing)).outcome is Outcome.WAITING
         assert not log
     limited = ExperimentConditions(safety=Safety(states={"position": 0.1}))
-    held = replace(point_mass, conditions=limited)
+    held = replace(hasty, conditions=limited)
     cost = cost_on_hardware(held, held.hardware, np.random.default_rng(0), 1)
-    assert cost(np.zeros(3)) > point_mass.cost.max_cost + 9  # it fails where it starts
+    assert cost(np.zeros(3)) > hasty.cost.max_cost + 9  # it fails where it starts
 
 
 @pytest.mark.slow
