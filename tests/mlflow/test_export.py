@@ -35,12 +35,12 @@ from simbias.trial.study import Study
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("uncompiled")]
 
-SHORT = [*POINT_MASS, "tracking=none", "optimizer.max_evaluations=20", "method.max_iterations=2"]
+SHORT = ["tracking=none", "task.horizon=50", "optimizer.max_evaluations=20", "method.max_iterations=2"]
 
 
 @cache
 def study(seed: int = 0) -> Study:
-    return simbias.load([*SHORT, f"seed={seed}"], OWN_CONF)
+    return simbias.load([*POINT_MASS, *SHORT, f"seed={seed}"], OWN_CONF)
 
 
 class Broken(Hardware):

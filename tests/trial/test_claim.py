@@ -84,14 +84,14 @@ def spending(study: Study, budget: Budget) -> Study:
 
 
 @pytest.mark.slow
-def test_no_experiment_begins_once_it_is_spent(point_mass: Study, tmp_path: Path) -> None:
+def test_no_experiment_begins_once_it_is_spent(hasty: Study, tmp_path: Path) -> None:
     for budget, made in (
         (Budget(experiments=3), 3),
         (Budget(experiments=4), 4),
         (Budget(seconds=1e-3), 1),
         (Budget(), 10),
     ):
-        study = spending(point_mass, budget)
+        study = spending(hasty, budget)
         folder = tmp_path / str(made)
         record = run_trial(study, folder)
         assert record.outcome is Outcome.NOT_SUCCEEDED

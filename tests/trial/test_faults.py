@@ -171,7 +171,7 @@ class Diverging(Bias):
         self._mended = mended
 
     def fit(self, transitions: Transitions) -> FittedBias:
-        diverges = len(transitions) > 20 and not self._mended
+        diverges = len(transitions) > 10 and not self._mended
         return ConstantBias(np.full(2, np.inf if diverges else 0.0), np.zeros(2))
 
 

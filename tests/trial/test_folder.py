@@ -46,7 +46,12 @@ SHORT = [
 ROBUST = [
     *SHORT,
     *("bias=sparse_gp", "evaluation=domain_randomization", "optimizer=hybrid", "method=model_based"),
-    *("optimizer.explorations=10", "evaluation.rollouts=3", "evaluation.sample_bias=true"),
+    *(
+        "optimizer.explorations=5",
+        "optimizer.max_evaluations=5",
+        "evaluation.rollouts=3",
+        "evaluation.sample_bias=true",
+    ),
     *("method.retry_search=1", "method.stop_at_failure=false", "method.max_iterations=2"),
 ]
 Whole = tuple[Path, TrialRecord]  # the folder of a trial that ended, and its record
@@ -63,6 +68,14 @@ def whole(short: Study, tmp_path_factory: pytest.TempPathFactory) -> Whole:
     """The folder of a trial that ended, and its record."""
     folder = tmp_path_factory.mktemp("trial") / "whole"
     return folder, run_trial(short, folder)
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory: pytest.TempPathFactory) -> Whole:
+    """The same of one's own components."""
+    folder = tmp_path_factory.mktemp("own")
+    few = ["task.horizon=50", "optimizer.max_evaluations=20", "tracking=none"]
+    return folder, run_trial(simbias.load([*POINT_MASS, *few], OWN_CONF), folder)
 
 
 def cut(whole: Path, folder: Path, lost: int) -> Path:
@@ -174,15 +187,14 @@ def test_a_trial_that_was_killed_is_read_as_far_as_it_goes(
         assert len(record.unfinished) == experiments - 2 * len(record.iterations)
 
 
-def test_its_study_is_built_from_the_folder_too(tmp_path: Path) -> None:
-    study = simbias.load([*POINT_MASS, "tracking=none", "optimizer.max_evaluations=20"], OWN_CONF)
-    record = run_trial(study, tmp_path)
-    read = read_folder(tmp_path, OWN_CONF)
+def test_its_study_is_built_from_the_folder_too(own: Whole) -> None:
+    folder, record = own
+    read, study = read_folder(folder, OWN_CONF), record.study
     assert_equal(read, record)
     assert (read.study.hash, read.study.title, read.study.seed) == (study.hash, study.title, study.seed)
-    assert "tracking" not in TrialFolder(tmp_path).description()["config"]  # may hold a password
+    assert "tracking" not in TrialFolder(folder).description()["config"]  # may hold a password
     with pytest.raises(ConfigError, match=r"point_mass"):
-        read_folder(tmp_path)  # an untrusted module is not imported
+        read_folder(folder)  # an untrusted module is not imported
 
 
 @pytest.mark.slow
@@ -350,18 +362,16 @@ def test_steps_of_other_code_are_one_line(short: Study, whole: Whole, tmp_path: 
         read_trial(short, theta)
 
 
-def test_changed_code_is_said(whole: Whole, tmp_path: Path) -> None:
-    study = simbias.load([*POINT_MASS, "tracking=none", "optimizer.max_evaluations=20"], OWN_CONF)
-    run_trial(study, tmp_path)
-    assert changed_since(study, tmp_path) == ""
-    description = json.loads((tmp_path / TRIAL).read_text())
+def test_changed_code_is_said(own: Whole, tmp_path: Path) -> None:
+    folder, study = shutil.copytree(own[0], tmp_path / "trial"), own[1].study
+    assert changed_since(study, folder) == ""
+    description = json.loads((folder / TRIAL).read_text())
     assert description["code"]
-    (tmp_path / TRIAL).write_text(json.dumps(description | {"code": {"point_mass": "another"}}))
-    assert "is shown as it was; its code has changed since it began (point_mass)" in changed_since(
-        study, tmp_path
-    )
-    (tmp_path / OUTCOME).unlink()
-    assert "resumes, but its code has changed" in changed_since(study, tmp_path)
+    (folder / TRIAL).write_text(json.dumps(description | {"code": {"point_mass": "another"}}))
+    said = "is shown as it was; its code has changed since it began (point_mass)"
+    assert said in changed_since(study, folder)
+    (folder / OUTCOME).unlink()
+    assert "resumes, but its code has changed" in changed_since(study, folder)
     assert changed_since(study, tmp_path / "none") == ""
 
 

@@ -41,10 +41,10 @@ def wind(point_mass: Study):
 METHODS: dict[str, Method] = {
     "ideal": Ideal(rollouts=2),
     "one_shot": OneShot(batch=3),
-    "cost_residual": CostResidual(max_iterations=4),
-    "inaccurate_model": InaccurateModel(max_iterations=4),
-    "cma": DirectSearch("cma", max_iterations=5),
-    "bayesian": DirectSearch("bayesian", max_iterations=7),
+    "cost_residual": CostResidual(max_iterations=2),
+    "inaccurate_model": InaccurateModel(max_iterations=2),
+    "cma": DirectSearch("cma", max_iterations=3),
+    "bayesian": DirectSearch("bayesian", max_iterations=6),
     "multi_fidelity": MultiFidelity(lambda config: None, max_iterations=3),  # type: ignore[arg-type,return-value]
 }
 

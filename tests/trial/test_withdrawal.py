@@ -26,8 +26,9 @@ from simbias.trial.run import TrialRecord, read_trial, run_trial
 from simbias.trial.study import Study
 from simbias.trial.summary import Outcome
 
+pytestmark = pytest.mark.usefixtures("uncompiled")
+
 LOOSE = "0005_experiment.npz"  # the first of iteration 1
-SHORT = ["tracking=none", "optimizer.max_evaluations=20", "method.max_iterations=3"]
 
 
 class Loose(Hardware):
@@ -53,7 +54,8 @@ Ended = tuple[Study, Loose, Path]
 @pytest.fixture
 def ended(tmp_path: Path) -> Ended:
     """A study whose hardware had a loose cable, and the folder of its trial."""
-    study = simbias.load([*POINT_MASS, *SHORT], OWN_CONF)
+    short = ["tracking=none", "optimizer.max_evaluations=20", "method.max_iterations=3"]
+    study = simbias.load([*POINT_MASS, *short], OWN_CONF)
     hardware, folder = Loose(study.hardware), tmp_path / "trial"
     study = replace(study, hardware=hardware)
     assert run_trial(study, folder).outcome is Outcome.NOT_SUCCEEDED
@@ -203,8 +205,9 @@ def test_a_lab_is_asked_anew(ended: Ended, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_an_episode_of_the_test_takes_the_place_of_no_experiment(tmp_path: Path) -> None:
     """LQR's experiments and the test's episodes are spawned alike."""
-    lqr = ["preset=cartpole", "method=lqr", "policy_test.episodes=2"]
-    study = simbias.load([*lqr, "policy_test.long_episodes=1", "tracking=none", "seed=4"])
+    lqr = ["preset=cartpole", "method=lqr", "task.horizon=50", "tracking=none", "seed=4"]
+    test = ["policy_test.episodes=2", "policy_test.long_episodes=1", "policy_test.long_seconds=2"]
+    study = simbias.load([*lqr, *test])
     first = run_trial(study, tmp_path)
     withdraw(tmp_path / "0000_experiment.npz")
     again = run_trial(study, tmp_path)
