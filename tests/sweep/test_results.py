@@ -267,6 +267,7 @@ def test_the_suites_cells_for_development_and_for_the_test_are_others() -> None:
     splits = [swept(name) for name in ("suite", "suite_test")]
     hashes = [{cell.composition.group_hash for cell in each.cells} for each in splits]
     assert not hashes[0] & hashes[1]
+    assert splits[0].hash != splits[1].hash
     assert [len(each) for each in hashes] == [11, 11]
     development, test = (each.base.config["policy_test"] for each in splits)
     assert development["seed"] != test["seed"]

@@ -26,19 +26,24 @@ from simbias.sweep.tables import cells, interval, layout, legend
 from simbias.terminal.sweep import seconds_left
 
 
+@pytest.fixture(scope="module")
+def smoke() -> Sweep:
+    """Two cells of three trials."""
+    return expand(["+sweep=smoke", "sweep.trials=3"])
+
+
 def test_sixteen_of_sixteen_hold_and_fifteen_do_not() -> None:
     assert all(holds(text) for text in ("1" * 16, "1" * 25 + "0"))
     assert not any(holds(text) for text in ("1" * 15, "1" * 15 + "0", ""))
 
 
 @pytest.mark.slow
-def test_an_episode_that_lasts_and_misses_its_goal_is_not_passed() -> None:
+def test_an_episode_that_lasts_and_misses_its_goal_is_not_passed(smoke: Sweep) -> None:
     """Nor one that succeeds and fails later; without success of the task's own, what lasts succeeds."""
     assert passed("1100", "1010") == "1000"
     assert passed("1100", "") == "1100"
-    sweep = expand(["+sweep=smoke", "sweep.trials=1"])
-    frame = made_up(sweep).assign(test_episodes="0" * 16, lasting_episodes="1" * 16)
-    assert cells(frame, sweep)["holding"].tolist() == [0, 0]
+    frame = made_up(smoke).assign(test_episodes="0" * 16, lasting_episodes="1" * 16)
+    assert cells(frame, smoke)["holding"].tolist() == [0, 0]
 
 
 def test_scores_of_cells() -> None:
@@ -70,7 +75,7 @@ def test_probability_of_improvement_is_mann_whitneys() -> None:
 def test_bootstrap_covers_the_mean_of_other_cells() -> None:
     """Also where a cell's runs are all alike; what differs by as much in each cell has no spread."""
     rng = np.random.default_rng(1)
-    found = [bootstrap(np.mean, np.tile(rng.normal(1.0, 1.0, 20), (3, 1))) for _ in range(30)]
+    found = [bootstrap(np.mean, np.tile(rng.normal(1.0, 1.0, 20), (3, 1))) for _ in range(20)]
     assert 0.8 <= np.mean([low <= 1.0 <= high for low, high in found]) <= 0.99
     cells = np.array([[0.0, 1.0, 0.0, 1.0]] * 3)
     low, high = bootstrap(np.mean, cells)
@@ -117,20 +122,19 @@ def made_up(sweep: Sweep) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def test_a_failure_counts_all_experiments_and_an_error_none() -> None:
-    sweep = expand(["+sweep=smoke", "sweep.trials=3"])
-    frame = made_up(sweep)
+def test_a_failure_counts_all_experiments_and_an_error_none(smoke: Sweep) -> None:
+    frame = made_up(smoke)
     frame.loc[0, ["outcome", "experiments"]] = ["not succeeded", 20.0]
     frame.loc[1, ["outcome", "experiments"]] = ["error", np.nan]
-    first, second = cells(frame, sweep).to_dict("records")
+    first, second = cells(frame, smoke).to_dict("records")
     assert (first["trials"], first["succeeded"], first["raised"]) == (3, 2, 0)
     assert first["mean"] == pytest.approx((20 + 6 + 4) / 3)
     assert first["low"] <= first["mean"] <= first["high"]
     assert (second["trials"], second["succeeded"], second["raised"]) == (2, 2, 1)
-    text = markdown.table(*layout(cells(frame, sweep), sweep))
+    text = markdown.table(*layout(cells(frame, smoke), smoke))
     assert "| 2/3 [21%, 94%] |" in text
     assert "| 2/2 [34%, 100%], 1 raised |" in text
-    assert legend(sweep, frame).endswith(" 1 trial raised an error and is left out.")
+    assert legend(smoke, frame).endswith(" 1 trial raised an error and is left out.")
 
 
 def test_measures_are_those_that_the_report_names() -> None:
@@ -140,9 +144,8 @@ def test_measures_are_those_that_the_report_names() -> None:
         ["+sweep=smoke", "sweep.trials=3", "+sweep.report.measures=[iterations,succeeded]", columns]
     )
     laid = layout(cells(made_up(sweep), sweep), sweep)
-    heads = [
-        f"inertia error {error}: {name}" for error in ("0", "0.2") for name in ("iterations", "succeeded")
-    ]
+    measures = ("iterations", "succeeded")
+    heads = [f"inertia error {error}: {name}" for error in ("0", "0.2") for name in measures]
     assert (laid.head, laid.body) == (heads, [["2.0", "3/3 [44%, 100%]"] * 2])
     assert "iterations: likewise" in legend(sweep, results.in_order({}, sweep))
 
@@ -166,10 +169,9 @@ def test_interval_covers_the_mean_in_most_samples() -> None:
 
 
 @pytest.mark.slow
-def test_finished_trials_tell_how_long_the_others_take() -> None:
+def test_finished_trials_tell_how_long_the_others_take(smoke: Sweep) -> None:
     """Those of the same cell where there are any, else all of them; without any, nobody knows."""
-    sweep = expand(["+sweep=smoke", "tracking=none"])
-    first, *others = sweep.trials
-    rows = [{"hash": first.hash, sweep.axes[0].name: first.cell.labels[0], "seconds": 4.0}]
-    assert seconds_left(sweep, pd.DataFrame(rows), 2) == 4.0 * len(others) / 2
-    assert seconds_left(sweep, pd.DataFrame({"hash": []}), 2) is None
+    first, *others = smoke.trials
+    rows = [{"hash": first.hash, smoke.axes[0].name: first.cell.labels[0], "seconds": 4.0}]
+    assert seconds_left(smoke, pd.DataFrame(rows), 2) == 4.0 * len(others) / 2
+    assert seconds_left(smoke, pd.DataFrame({"hash": []}), 2) is None
