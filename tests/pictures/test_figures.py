@@ -224,14 +224,6 @@ def test_what_a_trial_lacks_is_not_shown(
     figure, alone = (phases(short, iterations) for iterations in ([trial[0], untried], trial[:1]))
     assert len(figure.axes) == len(alone.axes)
     png(costs(short, [trial[0], untried]))
-    for pictures, iterations in (
-        ((costs, rejections), on_hardware),
-        ((rejections,), taught_nothing),
-        ((phases, forecast, prediction_errors), [untried]),
-    ):
-        for picture in pictures:
-            with pytest.raises(NoPictureError):
-                picture(short, iterations)
 
 
 def test_numbers_of_logarithmic_axes() -> None:
