@@ -15,7 +15,7 @@ from typing import Any
 
 import psutil
 import pytest
-from engine_tasks import work
+from engine_tasks import begin, work
 from processes import runs, wait_for
 
 from simbias.config import ConfigError, compose
@@ -43,13 +43,6 @@ def restore() -> None:
     del sys.modules["simbias.core.platform"]
 
 
-def wait_and_write(task: tuple[float, str]) -> int:
-    seconds, file = task
-    Path(file).touch()
-    time.sleep(seconds)
-    return os.getpid()
-
-
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Any]:
     """A cluster at an address, as an administrator starts it."""
@@ -61,7 +54,7 @@ def test_an_address(cluster: Any, tmp_path: Path) -> None:
     """Closing drops what waits there."""
     composed = compose(["engine=dask", f"engine.address={cluster.scheduler_address}"])
     results = service(composed, "engine", Engine).run(
-        wait_and_write, [(0.3, str(tmp_path / str(number))) for number in range(4)]
+        begin, [(str(tmp_path / str(number)), 0.3) for number in range(4)]
     )
     _, pid = next(results)
     assert pid != os.getpid()
@@ -168,7 +161,7 @@ def test_a_worker_is_waited_for_and_a_line_says_so(
     with distributed.LocalCluster(**inside, dashboard_address=":0") as cluster:
         threading.Timer(0.6, cluster.scale, [1]).start()
         address = cluster.scheduler_address
-        results = Dask(address=address).run(wait_and_write, 3 * [(0.5, os.devnull)])
+        results = Dask(address=address).run(begin, 3 * [(os.devnull, 0.5)])
         assert next(results) == (0, os.getpid())
         cluster.scale(0)  # all are lost, amid the sweep
         while cluster.scheduler.workers:
@@ -184,8 +177,8 @@ def test_a_scheduler_that_ends_ends_the_sweep(
 ) -> None:
     """The last test of this cluster."""
     monkeypatch.setattr(module, "CONNECT_SECONDS", 0.3)
-    tasks = [(0.5 if number else 0.0, os.devnull) for number in range(9)]
-    results = Dask(address=cluster.scheduler_address).run(wait_and_write, tasks)
+    tasks = [(os.devnull, 0.5 if number else 0.0) for number in range(9)]
+    results = Dask(address=cluster.scheduler_address).run(begin, tasks)
     next(results)
     logging.getLogger(module.LOGGER).addHandler(caplog.handler)  # as Dask's loggers do not propagate
     cluster.close()

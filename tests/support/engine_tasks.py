@@ -54,8 +54,9 @@ def examine(task: tuple[float, Any]) -> tuple[float, str, set[int]]:
     return sum(math.sin(k * x) / k for k in range(1, 200)), repr(task), threads
 
 
-def begin(task: tuple[str, float]) -> None:
-    """Say so, and go on for so long."""
+def begin(task: tuple[str, float]) -> int:
+    """Say so, and go on for so long; the process that did it."""
     file, seconds = task
     Path(file).touch()
     time.sleep(seconds)
+    return os.getpid()
