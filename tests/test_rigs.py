@@ -29,10 +29,8 @@ STUDY = ROOT / "sweeps" / "studies" / "rigs"
 ZEROS = (0.06, -0.04, 0.0)  # rad, of the encoder in each recording
 FRAMES = 150  # of 5 ms
 QUICK = [
-    "identification.starts=1",
-    "identification.rounds=1",
-    "identification.evaluations=2",
-    "identification.longer_windows=[]",
+    *("identification.starts=1", "identification.rounds=1"),
+    *("identification.evaluations=2", "identification.longer_windows=[]"),
 ]
 
 
@@ -44,24 +42,29 @@ def simulated(robot: Nominal, x: Array, u: Array, push: Array | float = 0.0) -> 
     return np.array(states)
 
 
-@pytest.fixture
+@pytest.fixture(autouse=True)
 def modules(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(STUDY)
 
 
-def quick(name: str) -> dict[str, Any]:
-    """What is declared of a rig, identified in few steps."""
+def quick() -> dict[str, Any]:
+    """What is declared of the simple pendulum, identified in few steps."""
     from loading import declared
 
-    rig = declared()[name]
+    rig = declared()["simple_pendulum"]
     return rig | {"composition": [*rig["composition"], *QUICK]}
+
+
+def loaded(declaration: dict[str, Any]) -> Any:
+    """A rig without its recordings."""
+    from loading import load
+
+    return load(declaration | {"development": []}, ROOT)
 
 
 def recordings(zeros: Sequence[float]) -> Iterator[pd.DataFrame]:
     """Of a pendulum that is not quite the described one, as its lab would have written them."""
-    from loading import load
-
-    prior = load(quick("simple_pendulum") | {"development": []}, ROOT).prior
+    prior = loaded(quick()).prior
     robot = with_values(prior, **{"hinge.friction": 0.2, "hinge.damping": 0.05, "hinge.gain": 0.8})
     rng, t, k = np.random.default_rng(0), 0.005 * np.arange(FRAMES)[:, None], len(zeros)
     u = sum(
@@ -75,11 +78,11 @@ def recordings(zeros: Sequence[float]) -> Iterator[pd.DataFrame]:
 
 
 @pytest.fixture
-def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, modules: None) -> Callable[..., pd.DataFrame]:
+def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., pd.DataFrame]:
     """Runs the study on simulated recordings of the simple pendulum; those of the test have no zeros."""
     import loading
 
-    rig = quick("simple_pendulum")
+    rig = quick()
     monkeypatch.setattr(loading, "declared", lambda: {"simple_pendulum": rig})
     monkeypatch.setattr(horizons, "HORIZONS", (0.1,))
     zeros = dict.fromkeys(rig["test"], 0.0) | dict(zip(rig["development"], ZEROS, strict=True))
@@ -115,12 +118,11 @@ def test_at_the_end_test_recordings_are_predicted(study: Callable[..., pd.DataFr
     assert (found["ratio"] == 1.0).all()
 
 
-def test_errors_are_told_as_published_ones_are(modules: None) -> None:
+def test_errors_are_told_as_published_ones_are() -> None:
     """Of a state, after a while or in a simulation of whole recordings; zero for the model that made them."""
     from in_units import rows
-    from loading import load
 
-    rig = load(quick("simple_pendulum") | {"development": []}, ROOT)
+    rig = loaded(quick())
     u = np.sin(0.05 * np.arange(200))[:, None]
     states = simulated(rig.study.nominal, np.zeros(2), u)
     made = Rollout(states, u, measured=states, sensed=True)
@@ -133,17 +135,15 @@ def test_errors_are_told_as_published_ones_are(modules: None) -> None:
         assert found["parameters"].str.contains("rod.mass").sum() == 2
 
 
-def test_mujocos_own_identification_finds_a_double_pendulum(
-    modules: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_mujocos_own_identification_finds_a_double_pendulum(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of its own file: what has friction and another mass predicts better than the described model."""
     import mujoco_sysid
-    from loading import declared, load
+    from loading import declared
     from ways import nominal, sysid
 
     monkeypatch.setattr(horizons, "predict", plain)  # each model once
     monkeypatch.setattr(mujoco_sysid, "STEPS", 3)
-    rig = load(declared()["design_C.1"] | {"development": []}, ROOT)
+    rig = loaded(declared()["design_C.1"])
     robot = with_values(rig.prior, friction_1=0.1, friction_2=0.1, mass_2=0.7)
     rng, t = np.random.default_rng(0), 0.002 * np.arange(200)[:, None]
     u = sum(rng.uniform(0.5, 1.0, 2) * np.sin(rng.uniform(3, 20, 2) * t) for _ in range(4))
@@ -152,12 +152,11 @@ def test_mujocos_own_identification_finds_a_double_pendulum(
     assert after < 0.3 * before
 
 
-def test_a_residual_that_hurts_is_left_out(modules: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_residual_that_hurts_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of one recording its thirds tell, of several each other one; a residual that helps stays."""
     import ways
-    from loading import declared, load
 
-    rig = load(declared()["simple_pendulum"] | {"development": []}, ROOT)
+    rig = loaded(quick())
     u = np.sin(0.05 * np.arange(400))[:, None]
     rollout = Rollout(simulated(rig.study.nominal, np.zeros(2), u, np.array([0.0, 0.01])), u)
 
@@ -175,13 +174,13 @@ def test_a_residual_that_hurts_is_left_out(modules: None, monkeypatch: pytest.Mo
         assert pushed(-0.01, count).bias is None
 
 
-def test_the_labs_parameters_are_within_the_priors(modules: None) -> None:
+def test_the_labs_parameters_are_within_the_priors() -> None:
     """Each rig can be composed without its recordings, and coordinates give the lab's values back."""
-    from loading import declared, load
+    from loading import declared
     from ways import of_lab
 
     for name, declaration in declared().items():
-        rig = load(declaration | {"development": []}, ROOT)
+        rig = loaded(declaration)
         known = of_lab(rig)
         made = dict(zip(known.parameters, values_at(rig.prior.parameters, np.array(known.mode)), strict=True))
         labs = {parameter.name: parameter.value for parameter in rig.prior.parameters} | rig.lab_values
