@@ -44,7 +44,6 @@ BAD = {  # by override: its key, and what is said of it
     "bias=gp,none": ("bias=gp,none", "a list needs brackets, many trials are a sweep (+sweep=NAME)"),
     "seed=range(1,3)": ("seed=range(1,3)", "a list needs brackets, many trials are a sweep (+sweep=NAME)"),
     "seed=???": ("seed", "Missing mandatory value"),
-    "seed=-1": ("seed", "must be greater than or equal to 0, got -1"),
     "seed=${nosuch}": ("seed", "Interpolation key 'nosuch' not found"),
     "bias._target_=simbias.cost.quadratic.Quadratic": ("bias._target_", "is not a Bias"),
     "bias._target_=simbias.no.such.Class": ("bias._target_", "cannot import 'simbias.no.such.Class'"),
@@ -57,11 +56,8 @@ BAD = {  # by override: its key, and what is said of it
     "+samples.limits.size=1": ("samples", "limits names no criterion of the task: size"),
     "optimizer.algorithm=GN_NONE": ("optimizer", ""),
     f"seed={'{a: ' * 300}1{'}' * 300}": ("seed=", ""),
-    "hardware.inertia_error=1e308": ("hardware.inertia_error", ""),
-    "task.time_step=1e-9": ("task.time_step", ""),
     f"task.horizon={10**30}": ("task.horizon", ""),
     "task.start.mean=[1e300,0,0,0,0,0]": ("task.start.mean", ""),
-    "task.robot.leg_mass=1e300": ("task.robot.leg_mass", ""),
     f"seed={2**64}": ("seed", ""),
     f"bias.d={'9' * 5000}": ("bias.d", ""),
 }
@@ -90,7 +86,7 @@ def test_a_whole_mapping_adds_its_keys(beside: list[str]) -> None:
     assert compose([*base, "hardware.noise={force_variance: 0.1}"]).config == (
         compose([*base, "+hardware.noise.force_variance=0.1"]).config
     )
-    for key in ("hardware.nosuch", "tracking.nosuch", "engine.nosuch", "hydra.nosuch", "seed.x"):
+    for key in ("hardware.nosuch", "engine.nosuch", "hydra.nosuch", "seed.x"):
         with one_line(rf"^{key}: no such key; --cfg job shows them all"):
             compose([*base, f"{key}={{a: 1}}"])
 
@@ -136,20 +132,17 @@ def test_yaml_keys_are_the_constructors_arguments() -> None:
 
 def test_defaults_are_table_1() -> None:
     config = compose([]).config
-    assert config["bias"]["length_scale"] == 1.0
-    assert config["bias"]["signal_variance"] == 1.0
+    table = {
+        "bias": {"length_scale": 1.0, "signal_variance": 1.0, "d": 1.0},
+        "cost": {"failure_weight": 200, "max_cost": 200, "input_weights": [1e-6]}
+        | {"state_weights": [10, 10, 10, 0.1, 0.1, 0.1]},
+        "task": {"horizon": 5000, "time_step": 0.001, "input_limit": 100},
+        "method": {"max_iterations": 10, "experiments": 2},
+        "optimizer": {"max_evaluations": 1000, "relative_tolerance": 1e-6},
+        "policy": {"bound": 10},
+    }
+    assert {group: {key: config[group][key] for key in values} for group, values in table.items()} == table
     assert config["bias"]["noise_variance"] == pytest.approx(2.718281828459045**-4, rel=1e-15)
-    assert config["bias"]["d"] == 1.0
-    assert config["cost"]["failure_weight"] == config["cost"]["max_cost"] == 200
-    assert config["cost"]["input_weights"] == [1e-6]
-    assert config["cost"]["state_weights"] == [10, 10, 10, 0.1, 0.1, 0.1]
-    assert config["task"]["horizon"] == 5000
-    assert config["task"]["time_step"] == 0.001
-    assert config["task"]["input_limit"] == 100
-    assert (config["method"]["max_iterations"], config["method"]["experiments"]) == (10, 2)
-    assert config["optimizer"]["max_evaluations"] == 1000
-    assert config["optimizer"]["relative_tolerance"] == 1e-6
-    assert config["policy"]["bound"] == 10
 
 
 def test_an_error_comes_back_from_a_worker() -> None:
@@ -158,11 +151,7 @@ def test_an_error_comes_back_from_a_worker() -> None:
     assert (error.key, str(error)) == ("bias.d", "bias.d: must be greater than 0")
 
 
-RENAMES = {
-    "bias.reach": "bias.d",
-    "bias=gaussian": "bias=gp",
-    "old_group": "optimizer",
-}
+RENAMES = {"bias.reach": "bias.d", "bias=gaussian": "bias=gp", "old_group": "optimizer"}
 
 
 @pytest.mark.slow
