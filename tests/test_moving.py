@@ -65,17 +65,12 @@ def test_a_plan_follows_and_costs_what_the_cost_says(robot: Study) -> None:
 
 @pytest.mark.usefixtures("uncompiled")
 def test_an_angle_that_wraps_is_drawn_beside_its_reference() -> None:
-    moving = [
-        "preset=pendulum_swingup",
-        "task.goal={angle: pi + t, d_angle: 1}",
-        "bias=none",
-        "identification=none",
-    ]
-    study = simbias.load([*moving, "task.horizon=20", "task.hold=0.2", "tracking=none"])
+    moving = ["preset=pendulum_swingup", "task.goal={angle: pi + t, d_angle: 1}"]
+    short = ["task.horizon=20", "task.hold=0.2", "bias=none", "identification=none", "tracking=none"]
+    study = simbias.load([*moving, *short])
     theta, states = np.zeros(study.policy.n_parameters), np.tile([0.1 - np.pi, 0.0], (21, 1))
-    tried = iteration_record(
-        study, 0, theta, (Rollout(states, np.zeros((20, 1)), parameters=theta),), 1, Stopwatch()
-    )
+    made = Rollout(states, np.zeros((20, 1)), parameters=theta)
+    tried = iteration_record(study, 0, theta, (made,), 1, Stopwatch())
     angle = lines(following(study, [tried]).axes[0], HARDWARE)[0][:, 1]
     np.testing.assert_allclose(angle, 0.1 + np.pi)
 

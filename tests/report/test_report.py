@@ -65,13 +65,8 @@ def test_the_page_of_a_trial_tells_what_its_folder_does(trial: Path, monkeypatch
     html, summary = file.read_text(), json.loads((trial / "outcome.json").read_text())
     assert file == trial / "report.html"
     assert self_contained(html)
-    said = [
-        trial.name,
-        f"its last policy {summary['claim']}",
-        summary["test_words"],
-        "max_iterations: 10",
-        "numpy",
-    ]
+    said = [trial.name, f"its last policy {summary['claim']}", summary["test_words"]]
+    said += ["max_iterations: 10", "numpy"]
     assert [words for words in said if words not in html] == []
     assert html.count("data:image/png;base64,") == 2
 
@@ -138,9 +133,8 @@ def test_the_page_of_a_sweep(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     said = ["2 of 2 trials have ended; of these succeeded", "&lt;script&gt;alert(1)&lt;/script&gt;"]
     said += ["data:image/png;base64,", "preset=cartpole", "<th>succeeded</th>", "/1 ["]
     assert [words for words in said if words not in html] == []
-    columns = np.array(
-        [re.findall("<td>(.*?)</td>", row) for row in re.findall("<tr>(<td>.*)</tr>", html)[:2]]
-    )
+    rows = re.findall("<tr>(<td>.*)</tr>", html)[:2]
+    columns = np.array([re.findall("<td>(.*?)</td>", row) for row in rows])
     assert (columns != "").any(axis=0).all()  # none is empty
 
 

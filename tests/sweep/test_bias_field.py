@@ -114,8 +114,9 @@ def test_arrows_are_velocities(trial: Trial, picture: Picture) -> None:
 
 
 def test_what_cannot_be_drawn_is_one_line(trial: Trial) -> None:
+    strict = simbias.load(["samples.limits.distance=1e-9"]).samples
     with pytest.raises(FigureError, match="no held-out sample"):
-        picture_of(trial_of("samples.limits.distance=1e-9"))
+        picture_of(trial._replace(study=replace(trial.study, samples=strict)))
     iterations = tuple(replace(iteration, model=None) for iteration in trial.iterations)
     with pytest.raises(FigureError, match="not searched"):
         picture_of(trial._replace(iterations=iterations))

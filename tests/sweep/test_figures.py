@@ -74,7 +74,6 @@ def test_comparisons_numbers_are_those_of_the_trials() -> None:
     assert numbers.loc["ideal", "holds_low"] == pytest.approx(0.438, abs=1e-3)
     assert "the last policy lasts without a failure, long ones to their end" in picture.caption
     assert picture.caption.endswith("Most trials hold by ideal 3 of 3 (44% to 100%).")
-    FigureCanvasAgg(picture.figure).draw()
     picture_of_two = Comparison("method").draw(made_up({"ideal": [half, all_of_16, all_of_16]}), ())
     (curve,) = picture_of_two.figure.axes[-1].lines
     assert np.asarray(curve.get_ydata()).tolist() == pytest.approx([0, 1 / 3, 2 / 3, 2 / 3])  # of all trials
@@ -124,7 +123,6 @@ def test_last_policies_are_dots_that_no_other_hides() -> None:
     with pytest.raises(FigureError, match=r"policy_test\.episodes=20"):
         LastPolicies().draw(made_up({"slope 0.02 rad": ["", ""]}), ())
     figure = LastPolicies().draw(made_up({"slope 0.02 rad": ["1111"] * 10}), ()).figure
-    FigureCanvasAgg(figure).draw()
     assert_nothing_is_cut(figure)
     texts = [text.get_text() for text in figure.legends[0].get_texts()]
     assert texts == ["trial that succeeds", "trial that never does", "mean", "90% of episodes"]
@@ -141,9 +139,8 @@ def test_last_policies_are_dots_that_no_other_hides() -> None:
 @pytest.mark.filterwarnings("error")
 def test_labels_may_be_long_and_cells_alike_when_joined() -> None:
     points = "{no noise: {hardware.inertia_error: 0.1}, no: {hardware.inertia_error: 0.2}}"
-    others = (
-        f"{{learned: {{bias: gp}}, noise learned: {{bias: none}}, {'so much more ' * 8}: {{bias: mean}}}}"
-    )
+    long = "so much more " * 8
+    others = f"{{learned: {{bias: gp}}, noise learned: {{bias: none}}, {long}: {{bias: mean}}}}"
     sweep = expand([f"+sweep={{trials: 1, axes: {{a: {{points: {points}}}, b: {{points: {others}}}}}}}"])
     ended = {"repetition": 0, "iterations": 1, "experiments": 2, **LATER, "test_episodes": "1111"}
     rows = [
@@ -163,9 +160,8 @@ def test_labels_may_be_long_and_cells_alike_when_joined() -> None:
 
 def test_a_series_number_says_of_what_and_several_numbers_do_not() -> None:
     several = "x: {keys: [bias.d, hardware.inertia_error], values: [[2.0, 0.1]]}"
-    sweep = expand(
-        [f"+sweep={{trials: 1, axes: {{method: [lqr, lqi], bias.noise_variance: [0.5], {several}}}}}"]
-    )
+    axes = f"{{method: [lqr, lqi], bias.noise_variance: [0.5], {several}}}"
+    sweep = expand([f"+sweep={{trials: 1, axes: {axes}}}"])
     ended = {"outcome": "succeeded", "experiments": 2, "iterations": 2, **LATER}
     rows = [
         {"method": method, "bias.noise_variance": "0.5", "x": "2/0.1", **ended} for method in ("lqr", "lqi")
@@ -180,9 +176,8 @@ def test_a_series_number_says_of_what_and_several_numbers_do_not() -> None:
         (f"{{{keys}, values: [[2.0, 0.5]]}}", "2\n0.5", "from above: d, noise variance"),
     ):
         sweep = expand([f"+sweep={{trials: 1, axes: {{gap: {gap}}}}}"])
-        (axes,) = (
-            Experiments().draw(swept(sweep, [{"gap": sweep.axes[0].labels[0], **ended}]), ()).figure.axes
-        )
+        trials = swept(sweep, [{"gap": sweep.axes[0].labels[0], **ended}])
+        (axes,) = Experiments().draw(trials, ()).figure.axes
         assert ([each.get_text() for each in axes.get_xticklabels()], axes.get_xlabel()) == ([ticks], name)
 
 

@@ -27,11 +27,8 @@ SMALL = {
     "fig5": [*FAILING, "sweep.figures.fig5.experiments=1"],
     "fig6": [*FAILING, "bias=gp", "sweep.trials=2"],
     "fig7": [
-        *MIXED,
-        "sweep.trials=2",
-        "sweep.figures.fig7.x.points=3",
-        "sweep.figures.fig7.y.points=3",
-        "sweep.figures.fig7.experiments=1",
+        *(*MIXED, "sweep.trials=2"),
+        *(f"sweep.figures.fig7.{each}" for each in ("x.points=3", "y.points=3", "experiments=1")),
     ],
 }
 TRIALS = {"fig4": 1, "fig5": 1, "fig6": 4, "fig7": 4}
