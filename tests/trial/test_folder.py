@@ -46,12 +46,7 @@ SHORT = [
 ROBUST = [
     *SHORT,
     *("bias=sparse_gp", "evaluation=domain_randomization", "optimizer=hybrid", "method=model_based"),
-    *(
-        "optimizer.explorations=5",
-        "optimizer.max_evaluations=5",
-        "evaluation.rollouts=3",
-        "evaluation.sample_bias=true",
-    ),
+    *("optimizer.explorations=10", "evaluation.rollouts=3", "evaluation.sample_bias=true"),
     *("method.retry_search=1", "method.stop_at_failure=false", "method.max_iterations=2"),
 ]
 Whole = tuple[Path, TrialRecord]  # the folder of a trial that ended, and its record

@@ -26,8 +26,6 @@ from simbias.trial.run import TrialRecord, read_trial, run_trial
 from simbias.trial.study import Study
 from simbias.trial.summary import Outcome
 
-pytestmark = pytest.mark.usefixtures("uncompiled")
-
 LOOSE = "0005_experiment.npz"  # the first of iteration 1
 
 
