@@ -34,7 +34,6 @@ class Gusty(InTheWind):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("uncompiled")
 def test_what_is_wrong_is_one_line(point_mass: Study) -> None:
     for wrong, problem in (
         ({}, ""),
