@@ -61,7 +61,7 @@ def forecast(study: Study, iterations: Sequence[Iteration]) -> Figure:
         draws = _draws(study, model, experiment)
     curves.append(nominal := on_nominal(study, iteration, experiment))
     states = task.without_targets.states
-    figure, (grid,) = panels(len(states), HEIGHT)
+    figure, (grid,) = panels(len(states), HEIGHT, 2 if len(states) == 4 else 3)
     beyond: dict[str, Artist] = {}
     for i, (axes, quantity) in enumerate(zip(grid, states, strict=True)):
         for _, rollout, color, line in curves:
