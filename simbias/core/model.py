@@ -72,7 +72,10 @@ class Nominal(ABC):
         return self.acted(inputs, self.advance(states, inputs, self.model_states(states, inputs))[1])
 
     def with_parameters(self, values: Array) -> Nominal:
-        """The model with other values (k,) of its `parameters`, in their units."""
+        """The model with other values (k,) of its `parameters`, in their units.
+
+        Its own `parameters` are the same priors, or have these values.
+        """
         raise NotImplementedError(f"{type(self).__name__} has parameters, but no `with_parameters`")
 
     @property

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from simbias.core import Nominal, Policy
+from simbias.core.parameters import values_at
 from simbias.core.records import Array
 from simbias.simulation.compiler import points_of
 from simbias.simulation.numpy_loop import PlainSimulator
@@ -66,7 +67,7 @@ def _nominal_axes(study: Study) -> None:
     expect_any_leading_axes(study.nominal.step, "nominal.step", x, u)
 
 
-@check("nominal", "parameters of different names, whose declared values make the model itself")
+@check("nominal", "parameters of different names, each of which with_parameters takes in its place")
 def _nominal_parameters(study: Study) -> None:
     nominal, x, u = study.nominal, robot_states(study), inputs(study)
     names = [parameter.name for parameter in nominal.parameters]
@@ -75,9 +76,14 @@ def _nominal_parameters(study: Study) -> None:
         known = prior != "log_normal" or value != 0  # it keeps its sign
         expect(known, "nominal.parameters", f"{name} other than 0, log-normal", value)
     if names:
-        declared = nominal.with_parameters(np.array([parameter.value for parameter in nominal.parameters]))
+        values = np.array([parameter.value for parameter in nominal.parameters])
+        others = values_at(nominal.parameters, np.linspace(0.1, 0.2, len(names)))
+        declared, other = map(nominal.with_parameters, (values, others))
         expected = "the model itself of its parameters' values"
         equal(declared.step(x, u), nominal.step(x, u), "nominal.with_parameters", expected, 1e-6)
+        kept, expected = [each.value for each in other.parameters], f"parameters of values {others}"
+        same = np.array_equal(kept, values)  # the priors, as they may stay
+        equal(others if same else kept, others, "nominal.with_parameters", expected, 1e-6)
 
 
 @check("nominal", "a model is drawn from the generator alone")
