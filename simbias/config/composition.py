@@ -16,6 +16,7 @@ from simbias.config.hydra_config import composed, errors_in_one_line, parsed, se
 from simbias.config.resources import check_no_primary, resource_folder, state
 from simbias.core.digest import short_digest
 from simbias.core.errors import ConfigError
+from simbias.core.ranges import Seed
 
 if TYPE_CHECKING:
     from hydra.core.override_parser.types import Override
@@ -157,6 +158,8 @@ class Variations:
         """The composition in plain containers, some groups left out."""
         from omegaconf import OmegaConf
 
+        from simbias.config.components import validate  # lazily, as above
+
         values: dict[str, Any] = {str(key): config[key] for key in config if key not in left_out}
         plain = {
             key: OmegaConf.to_container(value, resolve=True, throw_on_missing=True)
@@ -164,6 +167,8 @@ class Variations:
             else value
             for key, value in values.items()
         }
+        if "seed" in plain:  # one of 1, 01, 1e0 and '1', as trials are told apart by it
+            plain |= validate({"seed": plain["seed"]}, {"seed": Seed}, "")
         chosen = {group: option for group, option in choices.items() if group not in left_out}
         return Composition(plain, chosen, own(plain, self._folders, self._allowed), from_environment)
 

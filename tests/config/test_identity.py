@@ -62,6 +62,8 @@ def test_what_changes_no_result_changes_no_identity() -> None:
     options += ["method=model_selection", "optimizer=hybrid_from_candidates"]
     assert compose(["preset=robust"]).hash == compose(["bias=window_gp", *options]).hash
     assert compose(["preset=robust", "bias=none"]).hash == compose(["bias=none", *options]).hash
+    for seed in ("01", "1e0", "'1'", "1.0"):
+        assert compose([f"seed={seed}"]) == compose(["seed=1"])
     cells = [compose([override]).group_hash for override in ("seed=1", "seed=2", "bias=none")]
     assert cells[0] == cells[1] != cells[2]
 
