@@ -171,17 +171,20 @@ class FolderRecord(Record):
         return latest, count
 
     def iteration(self, iteration: Iteration, earlier: Sequence[Iteration]) -> Iteration:
-        """The iteration that has ended after others; if it did before, with the seconds that it took then."""
+        """The iteration that has ended after others; if it did before, as long and as predicted as then."""
         path = self._replayed(ITERATION)
         if path is None:
             summary = {**iteration_summary(self._study, iteration, earlier), "ended": time.time()}
             text = json.dumps(summary, indent=1, default=lambda value: value.tolist())  # NumPy's numbers
             self._keep(ITERATION, text.encode())
         else:
-            *kept, seconds = _loaded(path, lambda path: itemgetter(*COMPARED, "seconds")(read_json(path)))
-            if kept != [iteration.index, iteration.total_experiments, iteration.succeeded]:
+            kept, seconds, predicted = _loaded(path, _load_iteration)
+            if kept != (iteration.index, iteration.total_experiments, iteration.succeeded):
                 raise changed(path)
-            iteration = replace(iteration, seconds=seconds)
+            search = iteration.search
+            if search is not None and predicted is not None:
+                search = replace(search, predicted_cost=predicted)
+            iteration = replace(iteration, search=search, seconds=seconds)
         return iteration
 
     def refuse(self, returned: Any, theta: Array, start: Array, why: str) -> str:
@@ -321,6 +324,12 @@ def _loaded(path: Path, load: Callable[[Path], Loaded]) -> Loaded:
         raise
     except Exception as error:
         raise ConfigError(str(path), f"cannot be read ({with_type(error)})") from error
+
+
+def _load_iteration(path: Path) -> tuple[tuple[Any, ...], dict[str, float], float | None]:
+    """The fields that are compared with its replay, its seconds, and the predicted cost, if it has one."""
+    fields = read_json(path)
+    return itemgetter(*COMPARED)(fields), fields["seconds"], fields.get("predicted_cost")
 
 
 def _load_search(path: Path) -> Optimum:

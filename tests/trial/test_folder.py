@@ -357,7 +357,7 @@ def test_steps_of_other_code_are_one_line(short: Study, whole: Whole, tmp_path: 
         read_trial(short, theta)
 
 
-def test_changed_code_is_said(own: Whole, tmp_path: Path) -> None:
+def test_changed_code_is_said_and_changes_no_prediction(own: Whole, tmp_path: Path) -> None:
     folder, study = shutil.copytree(own[0], tmp_path / "trial"), own[1].study
     assert changed_since(study, folder) == ""
     description = json.loads((folder / TRIAL).read_text())
@@ -365,6 +365,10 @@ def test_changed_code_is_said(own: Whole, tmp_path: Path) -> None:
     (folder / TRIAL).write_text(json.dumps(description | {"code": {"point_mass": "another"}}))
     said = "is shown as it was; its code has changed since it began (point_mass)"
     assert said in changed_since(study, folder)
+    file = next(folder.glob("*_iteration.json"))
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"predicted_cost": 38.9}))
+    for record in (run_trial(study, folder), read_trial(study, folder)):
+        assert 38.9 in {each.search.predicted_cost for each in record.iterations if each.search}
     (folder / OUTCOME).unlink()
     assert "resumes, but its code has changed" in changed_since(study, folder)
     assert changed_since(study, tmp_path / "none") == ""
