@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from simbias.pictures.elements import html
 from simbias.pictures.elements.drawing import NoPictureError
 from simbias.pictures.trial.gallery import FIGURES
 from simbias.sweep.folder import SWEEP, SweepFolder, sweep_folders
+from simbias.sweep.results import SHOWN
 from simbias.sweep.tables import left_out
 from simbias.trial.disk import write_whole
 from simbias.trial.folder import TRIAL, TrialFolder
@@ -98,14 +100,17 @@ def sweep_page(folder: SweepFolder) -> str:
 def _sweep_parts(folder: SweepFolder, description: dict) -> Iterator[str]:
     """From how far it is to the config."""
     summaries = [TrialFolder(folder.trials / name).summary() for name in description["trials"]]
-    begun = [summary for summary in summaries if summary is not None]
-    ended = [summary for summary in begun if summary.outcome.final]
-    succeeded = sum(str(summary.outcome) == "succeeded" for summary in ended)
+    shown = [summary for summary in summaries if summary is not None and summary.outcome in SHOWN]
+    now, state = Counter(str(summary.outcome) for summary in shown), folder.state()
+    counts = Counter(state.get("outcomes", now))  # as its figures and its table count
+    ended = counts.total() - counts["error"]
     yield html.paragraph(
-        f"{len(ended)} of {len(summaries)} trials have ended; of these succeeded "
-        f"{counted_share(succeeded, len(ended))}.{left_out(str(each.outcome) for each in begun)}"
+        f"{ended} of {len(summaries)} trials have ended; of these succeeded "
+        f"{counted_share(counts['succeeded'], ended)}.{left_out(counts.elements())}"
     )
-    yield from _claims(ended)
+    if counts != now:
+        yield html.paragraph("Trials have changed since; the sweep's command, run again, counts them anew.")
+    yield from _claims(shown)
     for file in folder.figures():
         if file.suffix == ".png":
             caption = file.with_suffix(".md")
@@ -117,7 +122,7 @@ def _sweep_parts(folder: SweepFolder, description: dict) -> Iterator[str]:
                 frame = pd.read_csv(numbers, dtype=str, keep_default_na=False)
                 told = frame.loc[:, (frame != "").any()]  # not of what no cell has
                 yield from _table(list(told.columns), told.to_numpy().tolist())
-    if "table" in (state := folder.state()):
+    if "table" in state:
         yield html.heading("Cells")
         yield html.paragraph(str(state["legend"]))
         head, *rows = markdown.cells(state["table"])
@@ -125,9 +130,10 @@ def _sweep_parts(folder: SweepFolder, description: dict) -> Iterator[str]:
     yield from _made_with(description)
 
 
-def _claims(ended: list[TrialSummary]) -> Iterator[str]:
+def _claims(trials: list[TrialSummary]) -> Iterator[str]:
     """How many trials claim more than the test of their last policies bears out."""
-    tested = [(each.test_episodes, each.claimed_share) for each in ended if each.claim and each.test_episodes]
+    claiming = [each for each in trials if each.claim and each.test_episodes]
+    tested = [(each.test_episodes, each.claimed_share) for each in claiming]
     if not tested:
         return
     wrong = sum(wilson(test.count("1"), len(test)).high < share for test, share in tested)

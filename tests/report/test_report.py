@@ -150,3 +150,8 @@ def test_claims_that_a_test_contradicts_are_counted(tmp_path: Path) -> None:
     assert "the test of the last policy contradicts 1 of 2 (9% to 91%)" in html
     write_json(tmp_path / "c" / "outcome.json", TrialSummary(Outcome.ERROR).as_json())
     assert "succeeded 2 of 2 (34% to 100%). 1 trial raised an error and is left out." in sweep_page(folder)
+    changed = "Trials have changed since"
+    assert changed not in sweep_page(folder)
+    folder.write_state({"outcomes": {"succeeded": 3}})  # before one was withdrawn
+    assert "succeeded 3 of 3" in (html := sweep_page(folder))
+    assert changed in html
