@@ -81,15 +81,20 @@ def constructor_arguments(
     """The config's values, converted to the types that the constructor asks for.
 
     Relative files are replaced by those of the folders of configs, where these have them. Errors as of
-    `validate`.
+    `validate`, and of a constructor that does not name all of its arguments.
     """
+    parameters = constructor_parameters(component)
+    for parameter in parameters.values():
+        if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
+            problem = f"{component.__name__}'s constructor takes {parameter}; its options have to be named"
+            raise ConfigError(key, problem)
     given = {name: value for name, value in config.items() if name != TARGET}
     try:
         schema = _schema(component, provided)
     except Exception as error:  # of annotations that name what is imported for type checkers alone, say
         problem = f"the annotations of {component.__name__}'s constructor cannot be read ({with_type(error)})"
         raise ConfigError(key, problem) from error
-    return _converted(given, schema, key, constructor_parameters(component), folders)
+    return _converted(given, schema, key, parameters, folders)
 
 
 @cache

@@ -147,6 +147,7 @@ def test_a_module_that_raises_is_one_line(project: Path) -> None:
         (CONSTRUCTOR.format("", CANCELLED.replace("\n", "; ")), r"late$"),
         ("from simbias.core import Bias\nclass Mine(Bias): ...", r"Can't instantiate abstract class Mine"),
         (UNKNOWN, r"the annotations of Mine's constructor cannot be read \(NameError: name 'Unknown' "),
+        (CONSTRUCTOR.format(", **more", "pass"), r"Mine's constructor takes \*\*more; its options have to"),
     ):
         (project / "beside.py").write_text(text)
         sys.modules.pop("beside", None)
