@@ -164,7 +164,7 @@ def changed_trials(sweep: Sweep, store: Tracking) -> Iterator[str]:
                 changed.append(modules)
             test = asdict(NO_TEST) | before["config"].get("policy_test", {})
             otherwise += asked.episodes > 0 and test != asdict(asked)
-    problems = {f"ran on code that has changed since ({''.join(changed[:1])})": len(changed)}
+    problems = {f"ran on code or files that have changed since ({''.join(changed[:1])})": len(changed)}
     problems["were not tested as policy_test now asks"] = otherwise
     for problem, count in problems.items():
         if count:

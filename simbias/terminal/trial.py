@@ -227,13 +227,13 @@ class TrialConsole(Observer):
 
 
 def changed_since(study: Study, folder: Path) -> str:
-    """The user's modules that changed since the trial of a folder began, in a line; "" if none did."""
+    """The user's modules and files that changed since the trial of a folder began, in a line; "" if none."""
     if not (folder / TRIAL).exists() or not (
         modules := changed_code(TrialFolder(folder).description(), study)
     ):
         return ""
     what = "is shown as it was; its" if TrialFolder(folder).ended else "resumes, but its"
-    return f"the trial {what} code has changed since it began ({modules}); seed=N makes a new one"
+    return f"the trial {what} code or files have changed since it began ({modules}); seed=N makes a new one"
 
 
 def traceback_file(summary: TrialSummary, traceback: str) -> str:

@@ -311,7 +311,7 @@ def changed(path: Path) -> ConfigError:
     """The error of a step that does not fit the trial, as its code or a step before is another or gone."""
     there = {*map(number, TrialFolder(path.parent).all_steps())}
     gone = next((index for index in range(number(path)) if index not in there), None)
-    code = "its code has changed since, or this folder has. Move"
+    code = "its code, a file that it reads or this folder has changed since. Move"
     why = code if gone is None else f"step {gone:04d} is missing. Put it back, or move"
     return ConfigError(str(path), f"does not fit the trial: {why} the folder away to begin again")
 

@@ -82,11 +82,11 @@ def test_what_ran_on_other_code_is_said(folder: Path, capsys: pytest.CaptureFixt
     (described,) = folder.glob("trials/*")
     assert TrialFolder(described).description()["code"].keys() == {"my_hardware", "my_gains"}
     assert main(sweep) == main(sweep) == main(trial) == 0
-    assert "has changed" not in capsys.readouterr().err
+    assert "changed since" not in capsys.readouterr().err
     (folder / "my_gains.py").write_text("GAIN = 2.0\n")
     for command, line in (
-        (trial, "the trial is shown as it was; its code has changed since it began (my_gains)"),
-        (sweep, "2 of 2 finished trials ran on code that has changed since (my_gains)"),
+        (trial, "the trial is shown as it was; its code or files have changed since it began (my_gains)"),
+        (sweep, "2 of 2 finished trials ran on code or files that have changed since (my_gains)"),
     ):
         assert main(command) == 0
         assert line in capsys.readouterr().err

@@ -344,7 +344,7 @@ def test_steps_of_other_code_are_one_line(short: Study, whole: Whole, tmp_path: 
         file.write_text(json.dumps(json.loads(file.read_text()) | change))
     names = ("0000_experiment.npz", "0001_experiment.npz", "0003_iteration.json")
     for folder, file in zip((kind, theta, iteration), names, strict=True):
-        message = f"{file}: does not fit the trial: its code has changed since, or this folder has"
+        message = f"{file}: does not fit the trial: its code, a file that it reads or this folder has changed"
         with pytest.raises(ConfigError, match=message):
             read_trial(short, folder)
         record = run_trial(short, folder)
@@ -363,14 +363,14 @@ def test_changed_code_is_said_and_changes_no_prediction(own: Whole, tmp_path: Pa
     description = json.loads((folder / TRIAL).read_text())
     assert description["code"]
     (folder / TRIAL).write_text(json.dumps(description | {"code": {"point_mass": "another"}}))
-    said = "is shown as it was; its code has changed since it began (point_mass)"
+    said = "is shown as it was; its code or files have changed since it began (point_mass)"
     assert said in changed_since(study, folder)
     file = next(folder.glob("*_iteration.json"))
     file.write_text(json.dumps(json.loads(file.read_text()) | {"predicted_cost": 38.9}))
     for record in (run_trial(study, folder), read_trial(study, folder)):
         assert 38.9 in {each.search.predicted_cost for each in record.iterations if each.search}
     (folder / OUTCOME).unlink()
-    assert "resumes, but its code has changed" in changed_since(study, folder)
+    assert "resumes, but its code or files have changed" in changed_since(study, folder)
     assert changed_since(study, tmp_path / "none") == ""
 
 
