@@ -19,8 +19,8 @@ class Declared(Cost):
     """Z = c (T - t_fail) / T + the mean of `running` + the largest `peak`, if positive, + the last `final`.
 
     Expressions are those of `simbias.simulation.compiler.expressions`: of states, inputs, the time t in s,
-    the error of each quantity of the task's goal as `angle_error`, and constants. One that is no number in a
-    finite state, as the root of what is negative, costs the most there.
+    the error of each quantity of the task's goal as `angle_error`, and constants. One that is not finite
+    in a finite state, as the root of what is negative, costs the most there.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class Declared(Cost):
         """The values (..., 3) of the expressions in frames."""
         e = self._task.error(x_next, t)
         values = self._expressions(np.concatenate([x_next, u, np.stack([t], axis=-1), e], axis=-1))
-        running, peak, final = np.moveaxis(np.where(np.abs(values) >= 0.0, values, LARGEST), -1, 0)
+        running, peak, final = np.moveaxis(np.where(np.abs(values) < np.inf, values, LARGEST), -1, 0)
         ends = 1.0 * (t > (self.horizon - 0.5) * self.time_step)
         each = 0.0 * (
             t + np.sum(x_next, axis=-1)

@@ -81,7 +81,8 @@ class SweepState:
         self.export = Export()  # shows the sweep elsewhere, once MLflow is imported; that is not begun twice
         tell_what_is_in_clear(sweep.base.from_environment if store.folder else (), self.folder.path)
         asked, recorded = {trial.hash for trial in sweep.trials}, self.folder.trials_recorded()
-        self._partial = asked < recorded  # then the sweep's folder stays as it is
+        made = (TrialFolder(Path(store.folder or "", name)).ended for name in recorded - asked)
+        self._partial = asked < recorded and any(made)  # then the sweep's folder stays as it is
         if self._partial:
             logging.getLogger(__name__).warning(PART, len(asked), len(recorded), self.folder.path)
         else:

@@ -187,10 +187,11 @@ def test_they_are_their_formulas_and_summed_up_frame_by_frame() -> None:
         formulas = [expected(rollout.states, rollout.inputs, task)[index] for rollout in rollouts]
         np.testing.assert_allclose(of_records, formulas, rtol=1e-12)
         np.testing.assert_allclose(found, of_records, rtol=1e-9)
-    root = Declared(task, 9.0, 10.0, running="sqrt(position - 5)")  # no number anywhere here
-    with interpreted():
-        assert (CompiledSimulator.of(model, None, root).costs(root, thetas, starts)[0] > 1e90).all()
-    assert min(root.of(rollout) for rollout in rollouts) > 1e90
+    for running in ("sqrt(position - 5)", "-1 / (0 * position)"):  # nan, infinite
+        wrong = Declared(task, 9.0, 10.0, running=running)
+        with interpreted():
+            assert (CompiledSimulator.of(model, None, wrong).costs(wrong, thetas, starts)[0] > 1e90).all()
+        assert min(wrong.of(rollout) for rollout in rollouts) > 1e90
 
 
 def test_a_failure_costs_what_it_takes_away() -> None:

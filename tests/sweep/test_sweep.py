@@ -121,6 +121,10 @@ def test_a_part_of_a_sweep_leaves_its_record_and_others_say_what_it_loses(
         caplog.clear()
     assert len(SweepFolder(own).trials_recorded()) == 2
     assert len(pd.read_csv(own / "trials.csv")) == 2
+    for name in SweepFolder(own).trials_recorded():  # as if none had been made before it was killed
+        shutil.rmtree(folder / "trials" / name)
+    assert main([*quick, "sweep.axes={hardware.inertia_error: [0.2]}"]) == 0
+    assert len(SweepFolder(own).trials_recorded()) == 1
 
 
 def test_the_command_that_resumes_names_folders_and_modules_of_ones_own(folder: Path) -> None:
