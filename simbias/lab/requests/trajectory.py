@@ -23,7 +23,10 @@ from simbias.lab.table import POINT, Table, read_table
 TIME, FAILURE = Quantity("time", "s"), "failure"  # columns beside states and inputs
 NO_FAILURE = {"", "-", "none", "nan", "na", "n/a", "null", "no", "ok"}  # how tools write that nothing failed
 STILL = "simbias: %s: %s stands still while %s does not: is a sensor dead?"
-OTHER = "simbias: %s: %s is not as the requested policy commands in these states: is it another experiment?"
+OTHER = (
+    "simbias: %s: %s is not as the requested policy commands in these states: is it another experiment, or "
+    "late?"
+)
 UNLIKE = 0.7  # of the root mean square of commands, by which another policy's differ
 LASTS = 0.5  # autocorrelation of what is not noise
 JITTER = 0.25  # of a frame, within which a row counts as on time
@@ -160,8 +163,11 @@ def tell_other_commands(states: Array, inputs: Array, request: ExperimentRequest
 
     What the policy's own sensors add to its commands does not last from frame to frame.
     """
-    controller = without_limits(request.policy).controller(request.theta, request.task.time_step)
-    asked = np.array([controller(x) for x in states[:-1]]).reshape(inputs.shape)
+    try:
+        controller = without_limits(request.policy).controller(request.theta, request.task.time_step)
+        asked = np.array([controller(x) for x in states[:-1]]).reshape(inputs.shape)
+    except Exception:  # of the policy, which simulates it, too: it is told there
+        return
     for quantity, u, commanded in zip(request.task.inputs, inputs.T, asked.T, strict=True):
         off = u - commanded
         lasts = off[1:] @ off[:-1] > LASTS * (off @ off)

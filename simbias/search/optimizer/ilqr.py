@@ -123,13 +123,13 @@ class Shooting:
     def plan(self, rng: np.random.Generator | None) -> Plan | None:
         """A trajectory that begins with random inputs, or at rest without any; None where all fail.
 
-        Where rollouts of trajectories that begin at rest fail, the way to one that does not may lead over
-        such that do: it is searched as if nothing failed, too.
+        Where rollouts of trajectories that begin at rest fail, the way to one that succeeds may lead over
+        such that do: if none was found, it is searched as if nothing failed, too.
         """
         if rng is not None:
             return self._descended(self._first(rng), 1.0, PATIENCE)
         plan = self._descended(self._rest(), FROM_REST, FROM_REST_PATIENCE)
-        if not self._failed:
+        if plan is not None and (not self._failed or self._task.succeeds(plan.states)):
             return plan
         free = Shooting(replace(self._model, task=_unfailing(self._task)), self._goal_weights, self._sliding)
         other = free._descended(free._rest(), FROM_REST, FROM_REST_PATIENCE)
