@@ -54,9 +54,8 @@ class Declared(Cost):
         values = self._expressions(np.concatenate([x_next, u, np.stack([t], axis=-1), e], axis=-1))
         running, peak, final = np.moveaxis(np.where(np.abs(values) < np.inf, values, LARGEST), -1, 0)
         ends = 1.0 * (t > (self.horizon - 0.5) * self.time_step)
-        each = 0.0 * (
-            t + np.sum(x_next, axis=-1)
-        )  # in every frame, also of constants; nan beyond all numbers
+        # In every frame, also of constants; no number in a frame that ends beyond all numbers.
+        each = 0.0 * (t + np.sum(x_next, axis=-1))
         return np.stack([running + each, peak + each, ends * final + each], axis=-1)
 
     def of_totals(self, totals: Array, lost: Indices) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 
 from simbias.core import HardwareError, Task
 from simbias.core.messages import quote, words
-from simbias.core.records import Array, Rollout
+from simbias.core.records import Array, Indices, Rollout
 from simbias.core.robot import TURNS, Quantity
 from simbias.lab.rates import check_rates, late_rates, rates_of
 from simbias.lab.signals import Signal, Signals, signals, split_name
@@ -119,12 +119,13 @@ class Reader:
     def _unwound(self, column: str, angle: Quantity, signal: Signal, notes: list[str]) -> Array:
         """The angle's values (k,) without jumps of a turn between gaps; larger ones are refused."""
         turn, times, values = TURNS[angle.unit], signal.times, signal.values
-        steps, gaps = np.diff(values), np.diff(times) > self._gap(signal)
-        if len(jumps := np.flatnonzero((np.abs(steps) > MOST_TURNS * turn) & ~gaps)):
+        steps, begins = np.diff(values), self._begins(signal)
+        steps[begins - 1] = 0.0
+        if len(jumps := np.flatnonzero(np.abs(steps) > MOST_TURNS * turn)):
             first, then = times[jumps[0] : jumps[0] + 2]
             jump = f"{steps[jumps[0]]:.3g} {angle.unit} from {first:.6g} s to {then:.6g} s"
             raise HardwareError(f"{column} jumps by {jump}, more than a turn")
-        runs = np.split(values, np.flatnonzero(gaps) + 1)
+        runs = np.split(values, begins)
         unwound = np.concatenate([np.unwrap(run, period=turn) for run in runs])
         if not np.array_equal(unwound, values):
             notes.append(f"{angle.name} was wrapped")
@@ -183,12 +184,15 @@ class Reader:
 
     def _runs(self, signal: Signal, held: bool) -> list[tuple[float, float]]:
         """When a signal's uninterrupted runs begin and end; what is held lasts until a next sample is due."""
-        steps = np.diff(signal.times)
-        ends = np.flatnonzero(steps > self._gap(signal))
-        firsts, lasts = [0, *(ends + 1)], [*ends, len(steps)]
+        begins = self._begins(signal)
+        firsts, lasts = [0, *begins], [*(begins - 1), len(signal.times) - 1]
         due = _period(signal) if held else 0.0
         bounds = zip(signal.times[firsts].tolist(), signal.times[lasts].tolist(), strict=True)
         return [(first, last + due) for first, last in bounds]
+
+    def _begins(self, signal: Signal) -> Indices:
+        """The samples behind each gap."""
+        return np.flatnonzero(np.diff(signal.times) > self._gap(signal)) + 1
 
     def _gap(self, signal: Signal) -> float:
         """The time in s from which nothing of a signal is a gap."""

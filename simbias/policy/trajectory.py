@@ -26,7 +26,7 @@ class Trajectory(Policy):
     """u = u_t - K_t (x - x_t) within the task's limits: feedforward, and gains that vary in time.
 
     x_t, u_t and K_t are linear in time between knots, which are evenly spaced over the horizon; after it
-    the last ones hold, which are next to nothing where the goal moves: nothing counts there. With a
+    the last ones hold. If the goal moves, these are almost zero, as nothing counts after the horizon. With a
     Kalman filter, x is the state that the input will meet. Parameters are, knot by knot, x_t (n), u_t (m)
     and the rows of K_t (m n), with `sliding` those of L_t (m n) too. States that wrap are compared within
     half a turn.

@@ -245,10 +245,20 @@ def overall(made: Sequence[Prediction], part: int | None = None) -> float:
     return geometric_mean(np.array([prediction.ratio(part) for prediction in made]))
 
 
+def by_state(made: Sequence[Prediction]) -> Array:
+    """Identified over nominal error of each state (n,): the geometric mean over horizons."""
+    return np.exp(np.mean([np.log(_ratios(*prediction.rmse()[::-1])) for prediction in made], axis=0))
+
+
 def ratio(wrong: Array, reference: Array) -> float:
     """Root mean squares of errors (w, n) over those of a reference (v, n): the geometric mean over states."""
-    both = (np.clip(_rmse(each), SMALLEST, LARGEST) for each in (wrong, reference))
-    return geometric_mean(np.clip(np.divide(*both), 1 / MOST_RATIO, MOST_RATIO))
+    return geometric_mean(_ratios(_rmse(wrong), _rmse(reference)))
+
+
+def _ratios(wrong: Array, reference: Array) -> Array:
+    """Sizes of errors (n,) over those of a reference (n,)."""
+    both = (np.clip(each, SMALLEST, LARGEST) for each in (wrong, reference))
+    return np.clip(np.divide(*both), 1 / MOST_RATIO, MOST_RATIO)
 
 
 def geometric_mean(values: Array) -> float:

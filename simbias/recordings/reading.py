@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from simbias.core import HardwareError
+from simbias.core.digest import short_digest
 from simbias.core.errors import ConfigError, reason
 from simbias.core.messages import counted, words
 from simbias.core.records import Array, Rollout
@@ -61,8 +62,7 @@ def read(
     kept, files = _by_place(held_out), _by_place(places)
     rollouts, times = dict[str, tuple[Rollout, ...]](), dict[str, tuple[Array, ...]]()
     notes, extents = dict[str, list[str]](), list[str]()  # the files that a note is on
-    seen, posterior = set[tuple[bytes, ...]](), study.identification
-    needed = None
+    seen, needed, posterior = set[str](), None, study.identification
     if windows and isinstance(posterior, Posterior):
         needed = posterior.with_window(windows * posterior.window)
     for place, file in files.items():
@@ -76,13 +76,10 @@ def read(
             raise ConfigError("", words(error)) from error
         for note in recording.notes:
             notes.setdefault(note, []).append(name)
-        samples_of = tuple(
-            each.tobytes() for piece in recording.pieces for each in (piece.states, piece.inputs)
-        )
-        if samples_of in seen:
+        if (samples := _samples(recording.pieces)) in seen:
             notes.setdefault("has the samples of another file, so it does not count again", []).append(name)
             continue
-        seen.add(samples_of)
+        seen.add(samples)
         pieces = [
             (replace(piece, continues=i > 0), when)
             for i, (piece, when) in enumerate(zip(recording.pieces, recording.times, strict=True))
@@ -95,10 +92,15 @@ def read(
             notes.setdefault(short, []).append(name)
         rollouts[name], times[name] = zip(*pieces, strict=True)
         seconds = study.task.time_step * sum(piece.frames for piece, _ in pieces)
-        samples = sum(len(when) - 1 for _, when in pieces)
-        extents.append(f"{name} {seconds:.3g} s at {samples / seconds:.3g} Hz")
+        intervals = sum(len(when) - 1 for _, when in pieces)
+        extents.append(f"{name} {seconds:.3g} s at {intervals / seconds:.3g} Hz")
     told = tuple(f"{', '.join(names)}: {note}" for note, names in notes.items())
     return Recordings(rollouts, times, told, ", ".join(extents))
+
+
+def _samples(pieces: Sequence[Rollout]) -> str:
+    """A digest of all that was measured."""
+    return short_digest(b"".join(each.tobytes() for piece in pieces for each in (piece.states, piece.inputs)))
 
 
 def columns(text: str) -> dict[str, str]:

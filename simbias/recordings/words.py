@@ -6,11 +6,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from simbias.core import Quantity
 from simbias.recordings.assessment import Assessment
 from simbias.recordings.excitation import Excitation
 from simbias.recordings.findings import BEYOND_PRIOR
-from simbias.recordings.horizons import LARGEST, SMALLEST
+from simbias.recordings.horizons import by_state
 
 PARAMETER_NAMES = (
     "parameter",
@@ -41,7 +40,8 @@ def verdict(assessment: Assessment) -> str:
     if assessment.better:
         none = "" if any(finding.trusted for finding in assessment.findings) else " No parameter is trusted."
         worse = [f"after {one.seconds:g} s" for one in assessment.predictions if one.ratio() > 1.0]
-        worse += [f"in {each.name}" for each in _worse(assessment)]
+        states = zip(assessment.task.states, by_state(assessment.predictions), strict=True)
+        worse += [f"in {state.name}" for state, ratio in states if ratio > 1.0]
         ahead = f" It errs more {', '.join(worse)}." if worse else ""
         return (
             f"On {what}, the identified model errs {assessment.ratio:.2f} times as much as "
@@ -51,13 +51,6 @@ def verdict(assessment: Assessment) -> str:
         f"The identified model is no better than the nominal one on {what}: it errs "
         f"{assessment.ratio:.2f} times as much{each}, {MEAN}. Do not use it.{_reversed(assessment)}"
     )
-
-
-def _worse(assessment: Assessment) -> list[Quantity]:
-    """States in which the identified model errs more, on average over horizons."""
-    both = np.array([prediction.rmse() for prediction in assessment.predictions])  # (horizons, 2, n)
-    errors = np.log(np.clip(both, SMALLEST, LARGEST)).mean(axis=0)
-    return [state for state, more in zip(assessment.task.states, errors[1] > errors[0], strict=True) if more]
 
 
 def _lacking(assessment: Assessment) -> str:

@@ -85,10 +85,12 @@ def seconds(task: Task, frame: int) -> float:
 def shade_beyond(axes: Axes, limit: float, words: str, side: Literal["left", "right"] = "right") -> None:
     """Mark a limit on the vertical axis and shade what lies beyond it; call it after all else is drawn.
 
-    The words are below the limit, at the side where nothing comes near it.
+    The words are below the limit, at the side where nothing comes near it. An infinite limit is not drawn.
     """
     from matplotlib.patheffects import withStroke
 
+    if not np.isfinite(limit):
+        return
     axes.axhline(limit, color=LIMIT, linewidth=0.8, zorder=1)
     scale = axes.yaxis.get_transform()
     bottom, top, at = scale.transform(np.array([*axes.get_ylim(), limit]))
@@ -152,8 +154,9 @@ def whole_numbers(*all_axis: Axis) -> None:
 
 
 def logarithmic_if_wide(values: Sequence[float], *all_axis: Axis) -> None:
-    """Scale axes logarithmically if the values are positive and range over more than a decade."""
-    if 0 < 10 * min(values) < max(values):
+    """Scale axes logarithmically if finite values are positive and range over more than a decade."""
+    finite = [value for value in values if np.isfinite(value)]
+    if 0 < 10 * min(finite) < max(finite):
         logarithmic(*all_axis)
 
 

@@ -56,7 +56,7 @@ def costs(study: Study, iterations: Sequence[Iteration]) -> Figure:
         raise NoPictureError("no policy was searched in simulation")
     figure, grid = panels(2, HEIGHT)
     (by_iteration, pairs), limit = grid[0], cost_limit(study)
-    values = [limit] if np.isfinite(limit) else []
+    values = [limit]
     for iteration in iterations:
         measured = [rollout.cost for rollout in iteration.experiments]
         models = [rollout.cost for rollout in simulated(study, iteration, iteration.experiments)]
@@ -78,8 +78,7 @@ def costs(study: Study, iterations: Sequence[Iteration]) -> Figure:
     by_iteration.set_xlim(-0.5, max(iteration.index for iteration in iterations) + 0.5)
     whole_numbers(by_iteration.xaxis)
     by_iteration.set(xlabel="iteration", ylabel="cost Z (dimensionless)")
-    if np.isfinite(limit):
-        shade_beyond(by_iteration, limit, r"limit $Z_{\max}$")
+    shade_beyond(by_iteration, limit, r"limit $Z_{\max}$")
     _divide(pairs, limit)
     headline(by_iteration, "Predicted and measured cost of each policy")
     headline(pairs, "Each experiment, by its iteration's number")

@@ -139,7 +139,7 @@ def _draw_measure(
     axes: Axes, study: Study, rollouts: Sequence[NamedRollout], measure: Measure, ticks: Array
 ) -> None:
     """A measure over time, in simulation and on hardware; a tick below each snapshot."""
-    values = list[float]()
+    values = [measure.limit]
     for name, rollout, color, line in rollouts:
         frames, measures = measure.of(rollout)
         times = study.task.time_step * frames
@@ -147,27 +147,26 @@ def _draw_measure(
         if rollout.failed_at is not None:
             axes.plot(times[-1], measures[-1], "X", color=color, markersize=9, zorder=3, clip_on=False)
         values += measures.tolist()
-    limited = np.isfinite(measure.limit)
     if measure.limit_label == Z_MAX:
-        logarithmic_if_wide([*values, measure.limit] if limited else values, axes.yaxis)
+        logarithmic_if_wide(values, axes.yaxis)
     axes.set_xlim(ticks[0] - ticks[1] / 2, ticks[-1] + ticks[1] / 2)
     axes.set_xticks(ticks)
     axes.set(xlabel="time (s)", ylabel=measure.label)
-    if limited:
-        shade_beyond(axes, measure.limit, measure.limit_label, "left")  # a rollout begins far from it
-        _name_failure(axes, study, rollouts[-1].rollout, measure.limit)
+    shade_beyond(axes, measure.limit, measure.limit_label, "left")  # a rollout begins far from it
+    beside = measure.limit if np.isfinite(measure.limit) else values[-1]
+    _name_failure(axes, study, rollouts[-1].rollout, beside)
     above = axes.legend(loc="best", bbox_to_anchor=(0.0, 0.0, 1.0, 0.8), framealpha=0.8, fontsize=SMALL)
     above.get_frame().set_linewidth(0.0)  # its words can be read where a curve passes below
     plain(axes)
 
 
-def _name_failure(axes: Axes, study: Study, rollout: Rollout, limit: float) -> None:
-    """The reason of a failure, next to its end, beyond the limit, where nothing else is drawn."""
+def _name_failure(axes: Axes, study: Study, rollout: Rollout, beside: float) -> None:
+    """The reason of a failure, next to its end: above the limit, where nothing else is drawn, or the end."""
     if rollout.failed_at is not None:
         late = 2 * rollout.failed_at > study.task.horizon
         axes.annotate(
             failure_words(study, rollout),
-            (seconds(study.task, rollout.failed_at), limit),
+            (seconds(study.task, rollout.failed_at), beside),
             xytext=(-9 if late else 9, 2),
             textcoords="offset points",
             ha="right" if late else "left",
@@ -178,8 +177,8 @@ def _name_failure(axes: Axes, study: Study, rollout: Rollout, limit: float) -> N
 
 def _draw_costs(axes: Axes, study: Study, iterations: Sequence[Iteration]) -> None:
     """The cost of every hardware experiment, and of the same in the simulation of its policy's search."""
-    limit = cost_limit(study)
-    values, entries = [limit] if np.isfinite(limit) else [], dict[str, Line2D]()
+    limit, entries = cost_limit(study), dict[str, Line2D]()
+    values = [limit]
     for iteration in iterations:
         measured, last = [rollout.cost for rollout in iteration.experiments], iteration.total_experiments
         numbers = np.arange(last - len(measured), last) + 1
@@ -196,8 +195,7 @@ def _draw_costs(axes: Axes, study: Study, iterations: Sequence[Iteration]) -> No
     whole_numbers(axes.xaxis)
     axes.set_xlim(0.5, iterations[-1].total_experiments + 0.5)
     axes.set(xlabel="hardware\nexperiment", ylabel="cost Z (dimensionless)")
-    if np.isfinite(limit):
-        shade_beyond(axes, limit, Z_MAX)
+    shade_beyond(axes, limit, Z_MAX)
     axes.legend(
         list(entries.values()),
         list(entries),

@@ -133,9 +133,9 @@ class Shooting:
             return plan
         free = Shooting(replace(self._model, task=_unfailing(self._task)), self._goal_weights, self._sliding)
         other = free._descended(free._rest(), FROM_REST, FROM_REST_PATIENCE)
-        if other is None or self._fails(other) or (plan is not None and plan.cost <= other.cost):
+        if other is None or (self._task.violated(other.states[1:]) >= 0).any():
             return plan
-        return other
+        return other if plan is None else min(plan, other, key=lambda each: each.cost)
 
     def _descended(self, best: Plan | None, damping: float, patience: int) -> Plan | None:
         """The trajectory at the end of steps that each cost less, the first of which has this damping."""
@@ -149,11 +149,6 @@ class Shooting:
             if len(costs) > patience and costs[-1] > (1 - PROGRESS) * costs[-1 - patience]:
                 break
         return best
-
-    def _fails(self, plan: Plan) -> bool:
-        """Whether the task fails along a trajectory."""
-        limits = [criterion.limit for criterion in self._task.criteria]
-        return not (self._task.measure(plan.states[1:]) <= limits).all()
 
     def _first(self, rng: np.random.Generator) -> Plan | None:
         """The best trajectory of random inputs and of smaller ones, as large ones may fail."""
