@@ -103,15 +103,19 @@ UPRIGHT_TO_HANGING = np.stack([np.linspace(0.0, np.pi, 7), np.linspace(-2, 2, 7)
 
 @pytest.mark.slow
 def test_with_fourier_features_draws_have_the_posteriors_moments_where_there_are_no_data() -> None:
-    """At the data and half a turn away; tolerances are five standard errors."""
-    for option, linear in product(OPTIONS, (0.0, 3.0)):
-        study = pendulum(option, f"bias.linear={linear}")
-        bias, rng = study.bias.fit(swings()), np.random.default_rng(0)
+    """At the data and half a turn away; tolerances are five standard errors.
+
+    So they have where the exact posterior of many samples needs more points than a sparse one may have.
+    """
+    cases = [(option, linear, 1.0, 60) for option, linear in product(OPTIONS, (0.0, 3.0))]
+    for option, linear, length, n in [*cases, ("gp", 3.0, 0.25, 500)]:
+        study = pendulum(option, f"bias.linear={linear}", f"bias.length_scale={length}")
+        bias, rng = study.bias.fit(swings(n)), np.random.default_rng(0)
         mean, variance = bias.predict(UPRIGHT_TO_HANGING)
-        scale = np.sqrt(np.mean(swings().residuals ** 2, axis=0))
+        scale = np.sqrt(np.mean(swings(n).residuals ** 2, axis=0))
         values = np.array([bias.draw(rng).predict(UPRIGHT_TO_HANGING)[0] for _ in range(DRAWS)]) / scale
         latent = variance / scale**2 - bias.hyper.noise_variance
-        assert latent[0].min() > 10 * latent[-1].max(), option  # upright, where it has not been
+        assert latent[0].min() > 5 * latent[-1].max(), option  # upright, where it has not been
         assert (np.abs(values.mean(axis=0) - mean / scale) < 5 * np.sqrt(latent / DRAWS)).all(), option
         squares = (values - values.mean(axis=0)) ** 2  # more than normal tails, as the features are few
         error = np.abs(squares.mean(axis=0) - latent)

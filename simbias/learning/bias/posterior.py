@@ -36,8 +36,8 @@ class Posterior(FittedBias):
     points: Array  # (N, r), scaled
     U: Array  # (M, M), M <= N
     W: Array  # (N, n)
-    R: Array  # (m, N), R^T R the covariance of the weights W
-    L_inverse: Array  # (m, N), L_inverse^T L_inverse the inverse covariance of inducing points
+    R: Array  # (m, N), R^T R the covariance of a draw's weights, given its waves
+    L_inverse: Array  # (m, N), L_inverse^T L_inverse waves(points) what its weights take back of its waves
     trend: Trend
     features: int = 0  # of a draw
     diagnostics: Mapping[str, float] = field(default_factory=dict)
@@ -215,7 +215,10 @@ def _compiled(
 
 
 def exact(hyper: Hyperparameters, transitions: Transitions, features: int = 0) -> Posterior:
-    """The posterior given all data: U = L^-1, W = K^-1 y, K = L L^T; its draws have Fourier features."""
+    """The posterior given all data: U = L^-1, W = K^-1 y, K = L L^T.
+
+    Without Fourier features, its draws vary at inducing points, up to 200 of the data.
+    """
     hyper = hyper.centred(transitions.inputs)
     points = hyper.scale(transitions.inputs)
     K = hyper.covariance(points, points)
@@ -230,12 +233,15 @@ def exact(hyper: Hyperparameters, transitions: Transitions, features: int = 0) -
 
     trend = Trend.learned(hyper, points, transitions.residuals, solve)
     W = solve(transitions.residuals)[0] - trend.G @ trend.mean
-    chosen, _ = choose(hyper, points, Inducing())
-    seen = view(hyper, points, chosen)
-    R, of_chosen = np.zeros((2, len(chosen), len(points)))
-    R[:, chosen], of_chosen[:, chosen] = seen.R, seen.L_inverse
     scale = output_scale(transitions.residuals)
-    return Posterior(hyper, scale, points, L_inverse, W, R, of_chosen, trend, features)
+    if features:  # weights K^-1 (y - waves - noise), of all points
+        R, of_drawn = np.sqrt(hyper.noise_variance) * (L_inverse.T @ L_inverse), L_inverse
+    else:
+        chosen, _ = choose(hyper, points, Inducing())
+        seen = view(hyper, points, chosen)
+        R, of_drawn = np.zeros((2, len(chosen), len(points)))
+        R[:, chosen], of_drawn[:, chosen] = seen.R, seen.L_inverse
+    return Posterior(hyper, scale, points, L_inverse, W, R, of_drawn, trend, features)
 
 
 def sparse(hyper: Hyperparameters, transitions: Transitions, inducing: Inducing, features: int) -> Posterior:
