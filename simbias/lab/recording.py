@@ -22,6 +22,9 @@ FEWEST_FRAMES = 2  # of a gap
 RAREST = 20.0  # frames from one sample to the next of what is measured most often: a time in other units,
 RAREST_OF_UNIT = 1000.0  # where its unit is named
 SMOOTH = 0.02  # s, over which a velocity is estimated from positions
+SHORT = 0.005  # s, of frames: in longer ones, a parabola of five frames misses how the acceleration changes
+AROUND = 3  # frames at most to each side of a longer one, whose velocity is that of a polynomial of degree 4,
+LONGEST = 0.06  # s, within so long
 TWICE = 2.0  # how much inputs may exceed their limit
 SAME = 0.01  # of the samples: fewer that have the time of the one before are not told
 MOSTLY = 0.99  # of the frames: peaks of a sensor's noise exceed more
@@ -218,13 +221,15 @@ class Reader:
         return Rollout(states, inputs, measured=states, sensed=True), inside
 
     def _rate(self, values: Array) -> Array:
-        """The derivative (k,) of values (k,): of parabolas fitted to what is around each frame."""
+        """The derivative (k,) of values (k,): of polynomials fitted to what is around each frame."""
         from scipy.signal import savgol_filter  # lazily: few recordings need it
 
-        width = min(2 * max(2, round(SMOOTH / self._task.time_step / 2)) + 1, len(values) // 2 * 2 - 1)
+        h = self._task.time_step
+        degree, around = (2, SMOOTH / h / 2) if h <= SHORT else (4, min(AROUND, LONGEST / h))
+        width = min(2 * max(2, round(around)) + 1, len(values) // 2 * 2 - 1)
         if width < 3:
-            return np.gradient(values, self._task.time_step)
-        rate: Array = savgol_filter(values, width, 2, deriv=1, delta=self._task.time_step)
+            return np.gradient(values, h)
+        rate: Array = savgol_filter(values, width, min(degree, width - 1), deriv=1, delta=h)
         return rate
 
     def _beyond_limits(self, path: Path, pieces: Sequence[Rollout]) -> list[str]:
