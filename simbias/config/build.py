@@ -27,7 +27,10 @@ from simbias.trial.origin import model_digest
 from simbias.trial.policy_test import PolicyTest
 from simbias.trial.study import Study
 
-NO_COMPONENTS = ("seed", "conditions", "policy_test", "budget", "spending", "composition", "hardware_of")
+NO_COMPONENTS = (
+    *("seed", "conditions", "policy_test", "budget", "spending"),
+    *("composition", "hardware_of", "nominal_of"),
+)
 VALUES = {
     "seed": Required[Seed],
     "experiment_timeout": NotRequired[PositiveFloat | None],
@@ -62,7 +65,7 @@ def build(composition: Composition) -> Study:
     own = composition.own
     task = build_task(config["task"], own)
     config[HARDWARE], _ = split(whole := config[HARDWARE])
-    nominal = construct(config["nominal"], Nominal, "nominal", own, task=task.without_targets)
+    nominal = _nominal(config["nominal"], own, task)
     given = {"task": task, "nominal": nominal, "hardware_from": partial(_hardware, own=own, task=task)}
     of_robot = {**given, "task": task.without_targets}
     components = {}
@@ -78,6 +81,7 @@ def build(composition: Composition) -> Study:
         **values,
         composition=composition,
         hardware_of=partial(_hardware, config[HARDWARE], own),
+        nominal_of=partial(_nominal, config["nominal"], own),
         conditions=conditions(whole, task, timeout),
     )
     _check_known(study, config["identification"].get("known"))
@@ -149,6 +153,12 @@ def service(composition: Composition, group: str, contract: type) -> Any:
     if group not in composition.config:
         raise ConfigError(group, "missing")
     return construct(composition.config[group], contract, group, composition.own)
+
+
+def _nominal(config: Any, own: Own, task: Task) -> Nominal:
+    """The nominal model for a task; errors as of `construct`."""
+    nominal: Nominal = construct(config, Nominal, "nominal", own, task=task.without_targets)
+    return nominal
 
 
 def _hardware(config: Any, own: Own, task: Task) -> Hardware:

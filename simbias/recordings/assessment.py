@@ -17,6 +17,7 @@ from simbias.core.records import Rollout
 from simbias.learning.identification.directions import Direction, undetermined
 from simbias.learning.identification.identified import Identified
 from simbias.learning.identification.posterior import Posterior
+from simbias.learning.identification.refinement import moved_by_shorter_steps
 from simbias.recordings.findings import Finding, findings
 from simbias.recordings.horizons import Prediction, if_reversed, overall, predictions
 from simbias.recordings.parts import Part, others, parts
@@ -167,6 +168,9 @@ def assess(
 
     everything = Part.of("all recordings", recordings)
     identified = fit(everything, everything.name)
+    progress("in shorter steps")
+    where = everything.rollouts, everything.recordings
+    shorter = moved_by_shorter_steps(study.task, study.nominal_of, posterior, identified, *where)
     alone = [fit(part, f"{part.name} alone") for part in all_parts]
     by_window = [
         fit(everything, f"with windows of {factor * posterior.window:g} s", factor)
@@ -192,7 +196,7 @@ def assess(
         all_parts,
         kept,
         models,
-        findings(identified, alone, by_window),
+        findings(identified, alone, by_window, shorter),
         predictions(study.task, study.nominal, models, [part.rollouts for part in judged], learned),
         reversed_inputs(study.task, [study.nominal, identified], everything.rollouts),
     )

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from simbias.core.parameters import Estimate, Parameter
+from simbias.core.records import Array
 from simbias.learning.identification.identified import QUANTILE, Identified
 
 CORRELATED = 0.9
@@ -17,6 +18,7 @@ BEYOND_PRIOR = 1.05  # deviations of the prior, from which errors scatter what i
 AT_BOUND = 0.05  # prior standard deviations from a bound
 TAIL = 2.5  # prior standard deviations from the median
 DISAGREEMENT = 3.0  # standard deviations between estimates of two parts
+TOO_LONG = 1.0  # standard deviations by which shorter steps of integration move what is identified
 
 
 @dataclass(frozen=True)
@@ -43,9 +45,15 @@ class Finding:
 
 
 def findings(
-    fitted: Identified, by_part: Sequence[Identified], by_window: Sequence[Identified]
+    fitted: Identified,
+    by_part: Sequence[Identified],
+    by_window: Sequence[Identified],
+    shorter: Array | float = 0.0,
 ) -> list[Finding]:
-    """A finding for each parameter, with its doubts."""
+    """A finding for each parameter, with its doubts.
+
+    Shorter steps of integration would move them by so many (p,) of their standard deviations.
+    """
     deviations = np.sqrt(np.diag(fitted.covariance))
     R = fitted.covariance / np.outer(deviations, deviations)
     names = [parameter.name for parameter in fitted.parameters]
@@ -53,7 +61,7 @@ def findings(
         _distance(by_part, i) > DISAGREEMENT and not parameter.of_recording
         for i, parameter in enumerate(fitted.parameters)
     ]
-    found = []
+    found, shifts = [], np.broadcast_to(shorter, len(names))
     for i, (parameter, estimate) in enumerate(zip(fitted.parameters, fitted.estimates, strict=True)):
         shrinkage = float(np.clip(1.0 - deviations[i], 0.0, 1.0))
         partners = {
@@ -74,6 +82,7 @@ def findings(
             "recordings disagree" if disagree[i] else "",
             f"recordings disagree on {', '.join(shaken)}" if shaken and not disagree[i] else "",
             "depends on the window" if _moved(fitted, by_window, i) > DISAGREEMENT else "",
+            "depends on the model's step of integration" if shifts[i] > TOO_LONG else "",
         ]
         alone = tuple(each.estimates[i] for each in by_part)
         found.append(Finding(parameter, estimate, shrinkage, partners, alone, tuple(filter(None, doubts))))

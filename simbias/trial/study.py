@@ -86,6 +86,7 @@ class Study:
     seed: int
     composition: Origin  # what the components were built from
     hardware_of: Callable[[Task], Hardware]  # constructs the hardware again, for another horizon
+    nominal_of: Callable[[Task], Nominal]  # and the nominal model, for frames of another length
     conditions: ExperimentConditions = DEFAULT_CONDITIONS  # of hardware experiments
     policy_test: PolicyTest = NO_TEST
     budget: Budget = NO_LIMITS

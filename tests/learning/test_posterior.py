@@ -3,18 +3,20 @@
 from collections.abc import Callable
 from copy import copy
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 from models import driven, with_values
-from pendulum import QUICK, experiment, pendulum, truth
+from pendulum import NOISE, QUICK, experiment, pendulum, truth
 
 import simbias
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.directions import undetermined
 from simbias.learning.identification.identified import Identified
 from simbias.learning.identification.problem import Comparison, Problem
+from simbias.learning.identification.refinement import moved_by_shorter_steps
 from simbias.learning.measurement_noise import (
     Linearisation,
     _moments,
@@ -53,6 +55,27 @@ def test_it_predicts_what_it_has_not_seen(study: Study, fitted: tuple[Identified
     assert prediction_error(found, other) < 0.25 * prediction_error(study.nominal, other)
     x, u = other.states[5], other.inputs[5]
     np.testing.assert_array_equal(found.advance(x, u, np.empty(0))[0], found.step(x, u))
+
+
+@pytest.mark.slow
+def test_what_shorter_steps_move_is_told() -> None:
+    """Of a robot with dry friction, by steps of 10 ms; not by steps of 1 ms.
+
+    Nothing is said of models that cannot have shorter frames, or have the same whatever they are.
+    """
+    quick = ["identification=posterior", *QUICK, "task.time_step=0.02"]
+    robot = with_values(pendulum(*quick, "nominal.sub_step=0.0005").nominal, friction_1=0.1, friction_2=0.05)
+    recording = [experiment(robot, np.random.default_rng(4), 400, NOISE / [2, 2, 50, 50])]
+    moved = dict[float, Array]()
+    for step in (0.01, 0.001):
+        study = prepared(pendulum(*quick, f"nominal.sub_step={step}"))
+        posterior: Any = study.identification
+        given = posterior, posterior.fit(study.nominal, recording), recording, ()
+        moved[step] = moved_by_shorter_steps(study.task, study.nominal_of, *given)
+        assert not moved_by_shorter_steps(
+            study.task, partial(lambda made, _: made, study.nominal), *given
+        ).any()
+    assert moved[0.01].max() > 1.5 > 0.5 > moved[0.001].max()
 
 
 def test_draws_are_as_uncertain_as_the_estimates(fitted: tuple[Identified, Rollout]) -> None:

@@ -13,6 +13,7 @@ from scipy.optimize import least_squares
 from simbias.core import Nominal
 from simbias.core.parameters import Parameter, values_at
 from simbias.core.records import Array, Indices
+from simbias.learning.identification.identified import Identified
 from simbias.learning.measurement_noise import Linearisation
 from simbias.learning.prediction_errors import FREEDOM, ErrorDistribution
 from simbias.simulation.open_loop import PredictionModel, Windows, predict
@@ -45,12 +46,14 @@ class Comparison:
 
     errors: ErrorDistribution  # which `at` estimates
 
-    def __init__(self, nominal: Nominal, windows: Windows) -> None:
+    def __init__(self, nominal: Nominal, windows: Windows, predict: Callable[..., Array] = predict) -> None:
         self._nominal = nominal
         self._windows = windows
+        self._predict = predict
         self._observed = windows.means
-        recordings = np.arange(len(windows.frames)) if windows.recordings is None else windows.recordings
-        self.places = coordinates_of(nominal.parameters, recordings)  # (r, parameters)
+        own = windows.recordings
+        self._recordings = np.arange(len(windows.frames)) if own is None else own
+        self.places = coordinates_of(nominal.parameters, self._recordings)  # (r, parameters)
 
     @property
     def size(self) -> int:
@@ -101,6 +104,22 @@ class Comparison:
 
         return across
 
+    def coordinates(self, fitted: Identified) -> Array:
+        """Coordinates (p,) of an identified model, and of what each recording has of its own."""
+        z = np.empty(self.size)
+        for place, recording in zip(self.places, self._recordings.tolist(), strict=True):
+            z[place] = fitted.of_recording(recording).mode
+        return z
+
+    def shift(self, z: Array, difference: Array) -> Array:
+        """How far (p,) the mode z moves, to first order, if predictions differ by so much (w, J, n)."""
+        white = self.errors.whiten(self.prediction_errors(_around(z, "central")))
+        weights = self.errors.independent_share * self.errors.weights(white[0])
+        J = _slopes(white, len(z))  # (p, w, d)
+        weighted = (weights[:, None] * J).reshape(len(z), -1)
+        precision = weighted @ J.reshape(len(z), -1).T + np.eye(len(z))
+        return np.asarray(-np.linalg.solve(precision, weighted @ self.errors.whiten(difference).ravel()))
+
     def prediction_errors(self, z: Array) -> Array:
         """Errors (k, w, J, n) with the parameters at coordinates z (k, p)."""
         no_offsets = np.zeros((len(z), self._windows.states.shape[1]))
@@ -109,14 +128,14 @@ class Comparison:
     def _predictions(self, z: Array, offsets: Array) -> Array:
         """Means (k, w, J, n) over chunks at coordinates z (k, p), from starts that are off by (k, n)."""
         if self.size == self.places.shape[1]:  # no recording has anything of its own, or there is one alone
-            return predict(self._models(z, offsets), self._windows)
+            return self._predict(self._models(z, offsets), self._windows)
         windows = self._windows
         of_each = [
             replace(windows, firsts=windows.firsts[[i]], leads=windows.leads[[i]], frames=windows.frames[[i]])
             for i in range(len(self.places))
         ]
         made = [
-            predict(self._models(z[:, places], offsets), each)
+            self._predict(self._models(z[:, places], offsets), each)
             for places, each in zip(self.places, of_each, strict=True)
         ]
         return np.concatenate(made, axis=1)
