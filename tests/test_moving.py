@@ -48,7 +48,9 @@ def test_a_plan_follows_and_costs_what_the_cost_says(robot: Study) -> None:
     rollout = robot.simulate(theta)
     assert distances(robot, rollout.states).max() < 0.02
     seconds = robot.task.horizon * robot.task.time_step
-    assert shooting._cost(rollout.states, rollout.inputs) == pytest.approx(0.5 * seconds * rollout.cost, 1e-3)
+    assert shooting._judged(rollout.states, rollout.inputs).cost == pytest.approx(
+        0.5 * seconds * rollout.cost, 1e-3
+    )
     lower, upper = robot.task.input_bounds
     assert (plan.inputs >= lower).all()
     assert (plan.inputs <= upper).all()

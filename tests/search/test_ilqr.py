@@ -20,8 +20,9 @@ from simbias.learning.bias.none import ConstantBias, NoBias
 from simbias.search.goal import goal_along
 from simbias.search.optimizer import ilqr
 from simbias.search.optimizer.following import STIFFER, Following
-from simbias.search.optimizer.ilqr import Shooting, trajectory_candidates
+from simbias.search.optimizer.ilqr import Shooting, _unfailing, trajectory_candidates
 from simbias.search.optimizer.riccati import regulator, solved
+from simbias.simulation.closed_loop import simulator
 from simbias.simulation.linearization import linearization
 from simbias.trial.methods.model_based import ModelBased
 from simbias.trial.run import run_trial
@@ -198,6 +199,27 @@ def test_a_plan_leads_over_such_that_fail(tmp_path: Path) -> None:
     assert study.task.failure(plan.states[-1]) is None
     error = plan.states[:, 0] - np.pi - 3 * (study.task.time_step * np.arange(101)) ** 2
     assert np.abs(error).max() < 0.05
+
+
+@pytest.mark.slow
+def test_a_plan_keeps_within_limits_of_failure() -> None:
+    """A cart follows a reference whatever its pole does, which the cost leaves free but may not fall."""
+    task = ["task.horizon=150", "task.states.angle.mean=0.0", "task.goal={position: '0.4*sin(2*t)**2'}"]
+    task += ["+task.failure.falls={value: 'abs(angle)', above: 0.3, unit: rad, words: it falls}"]
+    task += ["~task.success.upright", "task.success.in_the_middle.below=0.05"]
+    others = ["cost=tracking", "~cost.error_weights", "+cost.error_weights={position: 10.0}"]
+    others += ["policy.knots=76", "identification=none", "tracking=none"]
+    study = simbias.load(["preset=cartpole_trajectory", *task, *others])
+    model = study.first_model()
+    shooting = Shooting(model, study.cost.goal_weights)
+    without = Shooting(replace(model, task=_unfailing(study.task)), study.cost.goal_weights)
+    free, plan = without._from_rest(), shooting.plan(None)
+    assert (study.task.violated(free.states) >= 0).any()
+    assert (study.task.violated(plan.states) < 0).all()
+    assert free.cost < plan.cost < 2.0 * free.cost
+    theta = next(shooting.following.policies(plan, study.policy, [1.0]))
+    rollout = simulator(model).rollout(theta, study.task.start_mean + 0.01)
+    assert rollout.failed_at is None
 
 
 @pytest.mark.slow

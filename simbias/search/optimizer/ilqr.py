@@ -21,9 +21,10 @@ from simbias.core.records import Array
 from simbias.policy.trajectory import Trajectory
 from simbias.search.goal import goal_along, moves
 from simbias.search.lqr import rest
-from simbias.search.optimizer.following import Following, Plan
+from simbias.search.optimizer.following import STEP, Following, Plan, spare
 from simbias.search.optimizer.riccati import Quadratic, beside, solved
 from simbias.simulation.closed_loop import simulator
+from simbias.simulation.linearization import derivatives
 
 ERROR_WEIGHT, RATE_WEIGHT = 1.0, 0.05  # of the goal's squared errors, 1/s; of those that are rates
 FINAL_WEIGHT = 10.0  # in s: what they weigh at the end
@@ -35,6 +36,8 @@ ITERATIONS = 200
 PATIENCE, PROGRESS = 10, 0.01  # it ends where that many iterations save less than this share
 LEAST, MOST = 1e-6, 1e8  # damping: where not even the most lets a step cost less, none does
 FROM_REST, FROM_REST_PATIENCE = 1e6, 3  # damping and patience of what begins at rest
+MARGIN = 0.5  # of what the start has left of a criterion: nearer to its limit, a plan costs more
+KEEPING = 10.0 ** np.arange(2, 6)  # times the mean cost of resting: that of using up all of it and more
 PIECE, AMPLITUDE = 0.3, 0.6  # s, and share of the limits, of the random inputs that it begins with
 SEED = 0  # of these inputs: the same model has the same trajectories
 
@@ -109,6 +112,7 @@ class Shooting:
         self.following = Following(model, weights, sliding)
         self._task, self._model, self._goal_weights, self._sliding = task, model, weights, sliding
         self._failed = False  # whether a rollout has
+        self._keeping = 0.0  # weight of squared excesses
         self._frictionless = replace(model, nominal=self.following.sliding)
         self._n, self._m, self._T = len(task.states), len(task.inputs), task.horizon
         self._every_frame = Trajectory(task, model.nominal, task.horizon + 1)
@@ -124,23 +128,57 @@ class Shooting:
         """A trajectory that begins with random inputs, or at rest without any; None where all fail.
 
         Where rollouts of trajectories that begin at rest fail, the way to one that succeeds may lead over
-        such that do: if none was found, it is searched as if nothing failed, too.
+        such that do: if none was found, it is searched as if nothing failed, too. If that one fails, what
+        comes near to limits of failure costs more and more, until it does not.
         """
         if rng is not None:
-            return self._descended(self._first(rng), 1.0, PATIENCE)
-        plan = self._descended(self._rest(), FROM_REST, FROM_REST_PATIENCE)
+            first = self._first(rng)
+            return first and self._descended(first, 1.0, PATIENCE)
+        plan = self._from_rest()
         if plan is not None and (not self._failed or self._task.succeeds(plan.states)):
             return plan
         free = Shooting(replace(self._model, task=_unfailing(self._task)), self._goal_weights, self._sliding)
-        other = free._descended(free._rest(), FROM_REST, FROM_REST_PATIENCE)
-        if other is None or (self._task.violated(other.states[1:]) >= 0).any():
+        other = free._from_rest()
+        if other is not None and self._fails(other):
+            other, self.following.holding = free._kept_within(self._task)
+        if other is None or self._fails(other):
             return plan
         return other if plan is None else min(plan, other, key=lambda each: each.cost)
 
-    def _descended(self, best: Plan | None, damping: float, patience: int) -> Plan | None:
+    def _from_rest(self) -> Plan | None:
+        """The trajectory at the end of steps from rest."""
+        first = self._rest()
+        return first and self._descended(first, FROM_REST, FROM_REST_PATIENCE)
+
+    def _fails(self, plan: Plan) -> bool:
+        return bool((self._task.violated(plan.states[1:]) >= 0).any())
+
+    def _kept_within(self, task: Task) -> tuple[Plan | None, float]:
+        """A trajectory from rest that does not come near to the limits of a task's criteria, if it can.
+
+        With it comes what squares of criteria weigh in it, as `Following.holding`.
+        """
+        plan, damping, self._spare = self._rest(), FROM_REST, spare(task)
+        limits = np.array([criterion.limit for criterion in task.criteria])
+        self._inside = limits - MARGIN * self._spare
+        if plan is None:
+            return None, 0.0
+        for self._keeping in KEEPING * plan.cost / task.horizon:
+            plan = self._descended(self._judged(plan.states, plan.inputs), damping, PATIENCE)
+            if (task.violated(plan.states[1:]) < 0).all():
+                break
+            damping = 1.0
+        kept, self._keeping = self._keeping, 0.0
+        return self._judged(plan.states, plan.inputs), kept / task.time_step
+
+    def _excess(self, states: Array) -> Array:
+        """How far (..., c) states (..., n) are beyond what is near to limits, in what the start has left."""
+        return np.maximum(self._task.measure(states) - self._inside, 0.0) / self._spare
+
+    def _descended(self, best: Plan, damping: float, patience: int) -> Plan:
         """The trajectory at the end of steps that each cost less, the first of which has this damping."""
         costs = list[float]()
-        while best is not None and damping < MOST and len(costs) < ITERATIONS:
+        while damping < MOST and len(costs) < ITERATIONS:
             better = self._improved(best, damping)
             damping = damping * 10 if better is None else max(damping / 5, LEAST)
             if better is None:
@@ -174,6 +212,10 @@ class Shooting:
         e = task.aim(plan.states) - self._goal
         slope = np.pad(np.einsum("tg,tgn->tn", weights * e, G), ((0, 0), hidden))
         curvature = np.pad(np.einsum("tg,tgi,tgj->tij", weights, G, G), ((0, 0), hidden, hidden))
+        if self._keeping:
+            E = derivatives(self._excess, plan.states, np.full(self._n, STEP))
+            slope[:, : self._n] += self._keeping * np.einsum("tc,tcn->tn", self._excess(plan.states), E)
+            curvature[:, : self._n, : self._n] += self._keeping * np.einsum("tci,tcj->tij", E, E)
         W = beside(curvature[:-1], np.diag(self._input_weights))
         w = np.concatenate([slope[:-1], self._input_weights * plan.inputs], axis=1)
         room = tuple(SHARE * limits - plan.inputs for limits in task.input_bounds)
@@ -195,14 +237,15 @@ class Shooting:
         starts = np.tile(self._task.start_mean, (len(thetas), 1))
         rollouts = self._simulator.rollouts(thetas, starts)
         plans = [
-            Plan(rollout.states, rollout.inputs, self._cost(rollout.states, rollout.inputs))
-            for rollout in rollouts
-            if rollout.failed_at is None
+            self._judged(rollout.states, rollout.inputs) for rollout in rollouts if rollout.failed_at is None
         ]
         self._failed |= len(plans) < len(rollouts)
         return min(plans, key=lambda plan: plan.cost, default=None)
 
-    def _cost(self, states: Array, inputs: Array) -> float:
-        """Half the weighted squares of errors and inputs."""
+    def _judged(self, states: Array, inputs: Array) -> Plan:
+        """A plan, with half the weighted squares of errors, of inputs, and of what is near to limits."""
         e = self._task.aim(states) - self._goal
-        return 0.5 * float(np.sum(self._weights * e**2) + np.sum(self._input_weights * inputs**2))
+        cost = np.sum(self._weights * e**2) + np.sum(self._input_weights * inputs**2)
+        if self._keeping:
+            cost += self._keeping * np.sum(self._excess(states) ** 2)
+        return Plan(states, inputs, 0.5 * float(cost))
