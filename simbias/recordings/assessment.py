@@ -107,6 +107,13 @@ class Assessment:
         each = ((one.unexplained(), one.seconds) for one in self.predictions)
         return max((found for found in each if found[0] > UNEXPLAINED), default=None)  # not where it is nan
 
+    def doubted(self) -> Assessment:
+        """The same, in which a doubt about the whole model is one about each parameter."""
+        if self.better and self.unexplained is None:
+            return self
+        doubt = "the model lacks something" if self.better else "the model is no better than the nominal one"
+        return replace(self, findings=[replace(each, doubts=(*each.doubts, doubt)) for each in self.findings])
+
     @property
     def undetermined(self) -> list[Direction]:
         """Combinations of parameters that the data do not determine."""
@@ -189,7 +196,7 @@ def assess(
         models = [model.of_recording(0) for model in models]
     pairs = zip(alone, rest, strict=True)
     learned = [(model.elsewhere(), apart.rollouts) for model, apart in pairs] if kept else []
-    return Assessment(
+    assessment = Assessment(
         study,
         list(recordings),
         identified,
@@ -200,6 +207,7 @@ def assess(
         predictions(study.task, study.nominal, models, [part.rollouts for part in judged], learned),
         reversed_inputs(study.task, [study.nominal, identified], everything.rollouts),
     )
+    return assessment.doubted()
 
 
 def reversed_inputs(task: Task, models: Sequence[Nominal], rollouts: Sequence[Rollout]) -> dict[str, float]:

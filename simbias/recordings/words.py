@@ -76,7 +76,6 @@ def _reversed(assessment: Assessment) -> str:
 
 def parameter_rows(assessment: Assessment) -> Iterator[Sequence[str]]:
     """A row for each parameter; its last cell answers whether it may be trusted."""
-    yes = "yes" if assessment.unexplained is None else "in this model, which lacks something"
     for finding in assessment.findings:
         estimate, (low, high) = finding.estimate, finding.prior_interval
         yield (
@@ -87,7 +86,7 @@ def parameter_rows(assessment: Assessment) -> Iterator[Sequence[str]]:
             f"{estimate.value:.4g}",
             f"{estimate.low:.4g} .. {estimate.high:.4g}",
             f"{100 * finding.shrinkage:.0f}%",
-            "; ".join(finding.doubts) or yes,
+            "; ".join(finding.doubts) or "yes",
         )
 
 

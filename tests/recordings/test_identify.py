@@ -32,6 +32,7 @@ from simbias.recordings.files import (
     models,
     of_recordings,
     option_lines,
+    parameters,
     write,
 )
 from simbias.recordings.findings import findings
@@ -116,12 +117,18 @@ def test_errors_that_noise_and_uncertainty_do_not_explain_are_told(assessment: A
     larger = [
         replace(one, identified=tuple(3 * each for each in one.identified)) for one in assessment.predictions
     ]
-    lacking = replace(assessment, predictions=larger)
+    lacking = replace(assessment, predictions=larger).doubted()
     said = r" Errors after \S+ s are [34]\.\d times what measurement noise and intervals explain: "
     assert re.search(said, verdict(lacking))
     told = [[row[-1] for row in parameter_rows(each)] for each in (assessment, lacking)]
     assert "yes" in told[0]
-    assert told[1] == [cell.replace("yes", "in this model, which lacks something") for cell in told[0]]
+    doubt = "the model lacks something"
+    assert told[1] == [doubt if cell == "yes" else f"{cell}; {doubt}" for cell in told[0]]
+    assert " No parameter is trusted." in verdict(lacking)
+    assert not parameters(lacking)["trusted"].any()
+    swapped = [replace(one, nominal=one.identified, identified=one.nominal) for one in larger]
+    doubts = [each.doubts[-1] for each in replace(assessment, predictions=swapped).doubted().findings]
+    assert set(doubts) == {"the model is no better than the nominal one"}
     pairs = [zip(one.identified, one.nominal, strict=True) for one in assessment.predictions]
     mixed = [tuple(np.hstack([own[:, :-1], 1.1 * of[:, -1:]]) for own, of in pair) for pair in pairs]
     worse = [replace(one, identified=each) for one, each in zip(assessment.predictions, mixed, strict=True)]
@@ -201,6 +208,7 @@ def test_a_model_that_is_no_better_says_so(study: Study) -> None:
     found = assess(study, {"a": (experiment(model, rng),)}, {"b": (experiment(study.nominal, rng),)})
     assert not found.better
     assert "no better than the nominal one on recordings that were held out" in verdict(found)
+    assert not any(finding.trusted for finding in found.findings)
 
 
 def test_a_single_recording_is_cut_into_thirds() -> None:
