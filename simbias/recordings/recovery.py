@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import bdtr
 from threadpoolctl import threadpool_limits
 
 from simbias.core.errors import ConfigError
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.identified import QUANTILE, Identified
 from simbias.learning.identification.posterior import Posterior
+from simbias.recordings.findings import Finding, findings
 from simbias.simulation.open_loop import PredictionModel, Windows, predict
 from simbias.trial.study import Study
 
 ROBOTS = 10
-COMES_BACK = 0.5  # of the prior's standard deviation: the largest deviation of the posterior
-MOSTLY = 0.7  # share of 90% intervals that have to hold the truth; chance leaves 7 of 10 in 99 of 100 cases
+CHANCE = 0.1  # probability below which so few 90% intervals hold the truth that they are too narrow
 
 
 class Recovery(NamedTuple):
@@ -28,18 +30,7 @@ class Recovery(NamedTuple):
     error: float  # median distance from the truth, in standard deviations of the prior
     deviation: float  # median deviation of the posterior, likewise
     held: float  # share of 90% intervals that hold the truth
-
-    @property
-    def comes_back(self) -> bool:
-        """Whether the data determine it, and the interval tells the truth."""
-        return self.deviation < COMES_BACK and self.held >= MOSTLY
-
-    @property
-    def verdict(self) -> str:
-        """That it comes back, or which of both is missing."""
-        if self.comes_back:
-            return "yes"
-        return "not determined" if self.deviation >= COMES_BACK else "interval too narrow"
+    doubt: str  # why it does not come back; "" if it does
 
 
 class Take(NamedTuple):
@@ -75,7 +66,7 @@ def recover(
     known = prior if isinstance(prior, Identified) else Identified.of_prior(prior)
     rng, parameters = np.random.default_rng(study.seed), known.parameters
     own = np.array([parameter.of_recording for parameter in parameters], bool)
-    true, modes, deviations = [], [], []
+    true, modes, deviations, found = [], [], [], []
     for index in range(robots):
         progress(f"robot {index + 1} of {robots}")
         z, drawn, made = known.draw_coordinates(rng), dict[str, Array](), list[tuple[str, Rollout]]()
@@ -94,19 +85,34 @@ def recover(
         true.append(drawn[made[0][0]])
         modes.append(first.mode)
         deviations.append(np.sqrt(np.diag(first.covariance)))
+        pairs = zip(own, findings(first, [], []), findings(fitted, [], []), strict=True)
+        found.append([of_first if its_own else shared for its_own, of_first, shared in pairs])
     if not true:
         raise ConfigError("", "no robot that was drawn lasts for a window without failing")
     errors, spreads = np.abs(np.array(modes) - true), np.array(deviations)
+    held = errors <= QUANTILE * spreads
     return [
         Recovery(
             parameter.name,
             parameter.unit,
             float(np.median(errors[:, i])),
             float(np.median(spreads[:, i])),
-            float(np.mean(errors[:, i] <= QUANTILE * spreads[:, i])),
+            float(np.mean(held[:, i])),
+            doubt([each[i] for each in found], int(held[:, i].sum())),
         )
         for i, parameter in enumerate(parameters)
     ]
+
+
+def doubt(found: Sequence[Finding], held: int) -> str:
+    """Why a parameter does not come back, from a finding of each robot; "" if it does.
+
+    It is not trusted in most of them, or so few of their 90% intervals hold the truth.
+    """
+    doubts = Counter("; ".join(each.doubts) for each in found)
+    if 2 * doubts.pop("", 0) <= len(found):
+        return doubts.most_common(1)[0][0]
+    return "interval too narrow" if bdtr(held, len(found), 0.9) < CHANCE else ""
 
 
 def record(
