@@ -108,10 +108,12 @@ def identify(
     simbias.config.ConfigError
         If an override is bad, nothing is identified, or the recordings cannot be read or are too short.
     """
+    from simbias.config import compose
+    from simbias.config.build import OF_RECORDINGS, build
     from simbias.recordings.assessment import LONGEST, assess, prepared
     from simbias.recordings.reading import read
 
-    study = prepared(load(overrides, config_dir, allow))
+    study = prepared(build(compose(overrides, config_dir, allow), OF_RECORDINGS))
     fitted, kept = read(study, recordings, columns, held_out, LONGEST), read(study, held_out, columns)
     for note in (*fitted.notes, *kept.notes):
         warnings.warn(note, stacklevel=2)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from functools import partial
 from typing import Any, NotRequired, Required, get_type_hints
@@ -38,11 +38,14 @@ VALUES = {
     "budget": NotRequired[Budget],
 }
 OF_ROBOTS = ("hardware", "identification", "samples", "bias")  # groups that know nothing of a task's targets
+OF_RECORDINGS = ("hardware", "identification")  # groups that recordings need beside a task and a model
 BESIDE_STUDIES = ("tracking", *OF_SWEEPS)  # groups of which a study has no component
 
 
-def build(composition: Composition) -> Study:
+def build(composition: Composition, groups: Collection[str] | None = None) -> Study:
     """Construct the components of a study.
+
+    With `groups`, those of its task, its model and these alone: others are None, and need not fit the task.
 
     Raises
     ------
@@ -68,12 +71,15 @@ def build(composition: Composition) -> Study:
     nominal = _nominal(config["nominal"], own, task)
     given = {"task": task, "nominal": nominal, "hardware_from": partial(_hardware, own=own, task=task)}
     of_robot = {**given, "task": task.without_targets}
-    components = {}
+    components: dict[str, Any] = {}
     for group, contract in contracts.items():
         if group not in given:
             beside = of_robot if group in OF_ROBOTS else given
             arguments = {key: beside[key] for key in BESIDE.get(group, PROVIDED)}
-            components[group] = construct(config[group], contract, group, own, **arguments)
+            needed = groups is None or group in groups
+            components[group] = (
+                construct(config[group], contract, group, own, **arguments) if needed else None
+            )
     study = Study(
         task=task,
         nominal=nominal,

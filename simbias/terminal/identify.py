@@ -11,7 +11,7 @@ import numpy as np
 from rich.console import Console
 
 from simbias.config import ConfigError, compose
-from simbias.config.build import build
+from simbias.config.build import OF_RECORDINGS, build
 from simbias.config.components import component_class
 from simbias.config.hydra_config import overridden
 from simbias.lab.recorded import Recorded
@@ -54,13 +54,17 @@ class Request(NamedTuple):
             name = f"{OPTION}_{name}" if name else OPTION
         return self.configs / GROUP / f"{name}.yaml"
 
-    def opened(self, console: Console, windows: float = 1.0) -> tuple[Study, Recordings, Recordings]:
+    def opened(
+        self, console: Console, windows: float = 1.0, attach: bool = False
+    ) -> tuple[Study, Recordings, Recordings]:
         """The study, its recordings and those that are held out; notes on them are printed.
 
-        Of what is not held out, pieces that do not hold as many windows are left out.
+        Of what is not held out, pieces that do not hold as many windows are left out. The study has what its
+        recordings need, or all that a trial needs which is attached.
         """
         with preparing():
-            study = prepared(build(compose(self._identifying, self.config_dir, self.allow)))
+            composition = compose(self._identifying, self.config_dir, self.allow)
+            study = prepared(build(composition, None if attach else OF_RECORDINGS))
         recordings = read(study, self.recordings, self.columns, self.held_out, windows)
         held_out = read(study, self.held_out, self.columns)
         for note in (*recordings.notes, *held_out.notes):
@@ -98,7 +102,7 @@ def identify(request: Request, attach: bool = False) -> bool:
     """
     console = standard_output()
     with slowness_in_one_line():
-        study, recordings, held_out = request.opened(console, LONGEST)
+        study, recordings, held_out = request.opened(console, LONGEST, attach)
         if attach and isinstance(study.hardware, Recorded) and not study.hardware.source_files:
             raise ConfigError("hardware.folder", "has no recording for --attach: name another hardware")
         check_replaces_nothing(study, request.folder, request.option)

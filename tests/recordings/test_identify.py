@@ -699,6 +699,7 @@ def test_nothing_is_asked_of_a_tasks_targets(folder: Path) -> None:
     """They are no states of the robot, and no recording has them."""
     options = ["preset=reacher", "identification=posterior", "tracking=none"]
     task = simbias.load(options).task.without_targets
+    options += ["cost=quadratic", "policy=output_feedback"]  # which do not fit the task, nor play a part
     names = ["time", *(each.name for each in (*task.states, *task.inputs))]
     pd.DataFrame(task.time_step * np.tile(np.arange(5.0)[:, None], len(names)), columns=names).to_csv("a.csv")
     with pytest.raises(ConfigError, match=r"^a\.csv: is shorter than a window of "):
