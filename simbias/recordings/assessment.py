@@ -34,7 +34,7 @@ REVERSED = 0.9  # times the nominal model's errors, below which an input's sign 
 class Assessment:
     """A model identified from recordings, and what is known of it."""
 
-    study: Study  # that is `prepared`
+    study: Study  # that is `prepared`; what recordings do not need, as its cost, may be None
     recordings: Sequence[str]  # that were not held out
     identified: Identified  # from all of them
     parts: Sequence[Part]  # of these, each predicted by a model of the others
