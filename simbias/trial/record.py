@@ -67,6 +67,7 @@ class FolderRecord(Record):
         self._writes = False  # but in a folder that is opened, of a trial that has not ended
         self._kept: list[Path] = []  # all steps: those that were there, and those made since
         self._episodes = 0  # that were replayed
+        self._searched = 0.0  # s that the searches took which were replayed since the last iteration
         self.testing = False  # the last policy, whose episodes are no experiments of the method's
 
     @cached_property
@@ -114,9 +115,13 @@ class FolderRecord(Record):
         """The next search."""
         path = self._replayed(SEARCH)
         if path is not None:
-            return _loaded(path, _load_search)
+            optimum, seconds = _loaded(path, _load_search)
+            self._searched += seconds
+            return optimum
+        begun = time.perf_counter()
         optimum = make()
-        fields = {**asdict(optimum), "parameters": optimum.parameters.tolist()}
+        seconds = time.perf_counter() - begun
+        fields = {**asdict(optimum), "parameters": optimum.parameters.tolist(), "seconds": seconds}
         self._keep(SEARCH, json.dumps(fields).encode())
         return optimum
 
@@ -174,6 +179,9 @@ class FolderRecord(Record):
         """The iteration that has ended after others; if it did before, as long and as predicted as then."""
         path = self._replayed(ITERATION)
         if path is None:
+            if "search" in iteration.seconds:  # to replay it takes no time
+                search_seconds = iteration.seconds["search"] + self._searched
+                iteration = replace(iteration, seconds={**iteration.seconds, "search": search_seconds})
             summary = {**iteration_summary(self._study, iteration, earlier), "ended": time.time()}
             text = json.dumps(summary, indent=1, default=lambda value: value.tolist())  # NumPy's numbers
             self._keep(ITERATION, text.encode())
@@ -185,6 +193,7 @@ class FolderRecord(Record):
             if search is not None and predicted is not None:
                 search = replace(search, predicted_cost=predicted)
             iteration = replace(iteration, search=search, seconds=seconds)
+        self._searched = 0.0
         return iteration
 
     def refuse(self, returned: Any, theta: Array, start: Array, why: str) -> str:
@@ -332,7 +341,8 @@ def _load_iteration(path: Path) -> tuple[tuple[Any, ...], dict[str, float], floa
     return itemgetter(*COMPARED)(fields), fields["seconds"], fields.get("predicted_cost")
 
 
-def _load_search(path: Path) -> Optimum:
-    """The optimum that a search found."""
-    fields = read_json(path)
-    return Optimum(**{**fields, "parameters": np.array(fields["parameters"])})
+def _load_search(path: Path) -> tuple[Optimum, float]:
+    """The optimum that a search found, and the seconds that this took; nan if the file does not tell them."""
+    fields = {"seconds": np.nan, **read_json(path)}
+    seconds = fields.pop("seconds")
+    return Optimum(**{**fields, "parameters": np.array(fields["parameters"])}), seconds

@@ -10,7 +10,7 @@ from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from io import StringIO
-from math import isnan
+from math import isnan, nan
 from pathlib import Path
 
 import numpy as np
@@ -147,6 +147,26 @@ def test_it_waits_for_each_result_and_resumes(short: Study, tmp_path: Path) -> N
     seconds = [each["seconds"] for each in stops]
     assert seconds == sorted(seconds)
     assert 0.0 < seconds[-1] < record.summary.seconds < sum(seconds)  # of all attempts, each once
+
+
+def test_a_resumed_iteration_tells_the_time_of_its_search(short: Study, whole: Whole, tmp_path: Path) -> None:
+    """Where it was made, not where it was replayed; of a folder whose searches do not tell it, none."""
+    for name, seconds in ("told", 123.0), ("older", nan):
+        folder = cut(whole[0], tmp_path / name, len(step_names(whole[0])) - 2)
+        search = json.loads((folder / "0000_search.json").read_text())
+        assert 0.0 < search.pop("seconds") <= whole[1].iterations[0].seconds["search"]
+        (folder / "0000_search.json").write_text(
+            json.dumps(search if isnan(seconds) else {**search, "seconds": seconds})
+        )
+        record = run_trial(short, folder)
+        assert_equal(timeless(record), timeless(whole[1]))
+        first, second, *_ = (each.seconds["search"] for each in record.iterations)
+        assert first == pytest.approx(seconds, abs=5.0, nan_ok=True)
+        assert 0.0 < second < 5.0
+        (folder / OUTCOME).unlink()
+        read = read_trial(short, folder)
+        assert read.iterations[0].seconds["search"] == pytest.approx(first, nan_ok=True)
+        assert not isnan(read.summary.seconds)
 
 
 @pytest.mark.slow
