@@ -30,6 +30,7 @@ class Rollout:
     measured: Array | None = None  # (k+1, n) what the sensors said; None where nothing was sensed
     sensed: bool = False  # whether the recorded states are these, as on a real robot; else the true ones
     parameters: Array = field(default_factory=lambda: np.empty(0))  # (p,); set by the study that ran it
+    source: str | None = None  # the file that a person put, if it was read from one
     continues: bool = False  # whether it goes on within a recording: its first input had acted before, too
 
     @property

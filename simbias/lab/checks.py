@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -76,6 +77,7 @@ def check_rollout(
         raise HardwareError(f"{source}: failed_at: expected {k}, the last frame, got {failed_at}")
     failure = _failure(failure, failed_at, f"{source}: failure")
     checked = Rollout(states, inputs, failed_at, failure, measured=measured, sensed=bool(rollout.sensed))
+    checked = replace(checked, source=rollout.source and str(rollout.source))
     return checked if bounds is None else hold(checked, task, bounds, source)
 
 

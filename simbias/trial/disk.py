@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from filelock import FileLock, Timeout
 
 from simbias.core.errors import ConfigError
-from simbias.core.messages import words
+from simbias.core.messages import with_type, words
 
 PART = ".part"  # suffix of a file that is being written
 LOCK = ".lock"  # file of a folder that one process at a time may write
+
+Loaded = TypeVar("Loaded")
 
 
 @contextmanager
@@ -55,6 +57,16 @@ def require_file(path: Path) -> Path:
     if path.exists() and not path.is_file():
         raise ConfigError(str(path), "is no file")
     return path
+
+
+def loaded(path: Path, load: Callable[[Path], Loaded]) -> Loaded:
+    """The content of a step; a ConfigError if it cannot be read."""
+    try:
+        return load(require_file(path))
+    except ConfigError:
+        raise
+    except Exception as error:
+        raise ConfigError(str(path), f"cannot be read ({with_type(error)})") from error
 
 
 def read_json(path: Path) -> dict[str, Any]:

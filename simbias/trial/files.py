@@ -14,6 +14,8 @@ from simbias.core import Task
 from simbias.core.messages import LONGEST_VALUE, printable
 from simbias.core.records import Array, Rollout
 
+LONGEST_PATH = 4096  # characters
+
 
 def packed_rollout(rollout: Rollout, place: tuple[int, ...]) -> bytes:
     """A rollout, and the place of its experiment in its trial, as an npz file; what is None is left out.
@@ -21,7 +23,7 @@ def packed_rollout(rollout: Rollout, place: tuple[int, ...]) -> bytes:
     Compressed, it would be 5% smaller, and take 20 times as long.
 
     Fields: parameters (p,), states (k+1, n), inputs (k, m), measured (k+1, n), sensed, failed_at, failure,
-    place. Costs are not kept: they follow from these; nor that none `continues`.
+    source, place. Costs are not kept: they follow from these; nor that none `continues`.
     """
     given: dict[str, Any] = {name: value for name, value in vars(rollout).items() if value is not None}
     del given["cost"], given["continues"]
@@ -32,9 +34,10 @@ def packed_rollout(rollout: Rollout, place: tuple[int, ...]) -> bytes:
 
 def largest(task: Task, theta: Array, place: tuple[int, ...]) -> int:
     """Bytes that `packed_rollout` of an experiment with theta (p,) has at most."""
-    T, failure = task.horizon, LONGEST_VALUE * "-"
+    T, failure, source = task.horizon, LONGEST_VALUE * "-", LONGEST_PATH * "-"
     states, inputs = np.zeros((T + 1, len(task.states))), np.zeros((T, len(task.inputs)))
-    return len(packed_rollout(Rollout(states, inputs, T, failure, measured=states, parameters=theta), place))
+    rollout = Rollout(states, inputs, T, failure, measured=states, parameters=theta, source=source)
+    return len(packed_rollout(rollout, place))
 
 
 def load_rollout(path: Path) -> tuple[Rollout, tuple[int, ...]]:

@@ -26,12 +26,15 @@ import shutil
 import time
 from contextlib import AbstractContextManager, suppress
 from dataclasses import asdict, dataclass
+from math import nan
 from pathlib import Path
 from typing import Any
 
 from simbias.core.errors import ConfigError
 from simbias.core.messages import with_type, words
-from simbias.trial.disk import LOCK, PART, append_line, locked, read_json, read_lines
+from simbias.lab.requests.folder import mark_withdrawn
+from simbias.trial.disk import LOCK, PART, append_line, loaded, locked, read_json, read_lines
+from simbias.trial.files import load_rollout
 from simbias.trial.summary import TrialSummary
 
 TRIAL, ATTEMPTS, OUTCOME, EPISODES = "trial.json", "attempts.jsonl", "outcome.json", "test_episodes.csv"
@@ -108,6 +111,11 @@ class TrialFolder:
         """The lines of attempts.jsonl; one that a kill cut off is left out."""
         return read_lines(self.path / ATTEMPTS)
 
+    @property
+    def began(self) -> float:
+        """When the first attempt began, s since the epoch; nan before it."""
+        return next((each["started"] for each in self.attempts() if "started" in each), nan)
+
     def platforms(self) -> list[str]:
         """The platforms that the trial ran on, in their order."""
         return list(dict.fromkeys(each["platform"] for each in self.attempts() if "platform" in each))
@@ -166,13 +174,14 @@ def withdraw(experiment: Path, reason: str = "") -> Withdrawal:
     """Withdraw the experiment in this file of a trial's folder; also a trial that ended can be resumed then.
 
     Resumed, it makes the experiment again. Of the experiments after it, those that are asked for again, with
-    the same policy in the same place, are taken as they are; searches are made again.
+    the same policy in the same place, are taken as they are; searches are made again. If a person put it as
+    the answer to a request, no trial takes it any more.
 
     Raises
     ------
     ConfigError
-        If the file is no experiment that counts, the trial's trial.json cannot be read, or a process is
-        running the trial.
+        If the file is no experiment that counts, it or the trial's trial.json cannot be read, or a process
+        is running the trial.
     """
     folder = TrialFolder(experiment.parent)
     if not (folder.path / TRIAL).exists():
@@ -184,6 +193,8 @@ def withdraw(experiment: Path, reason: str = "") -> Withdrawal:
         if experiment.name not in experiments:
             problem = f"is no experiment that counts; these do: {', '.join(experiments) or 'none'}"
             raise ConfigError(str(experiment), problem)
+        if source := loaded(experiment, load_rollout)[0].source:
+            mark_withdrawn(Path(source), f"{experiment}: {reason}")
         superseded = counted[counted.index(experiment.name) + 1 :]
         shutil.rmtree(folder.path / PICTURES, ignore_errors=True)  # they show what counts no longer
         seconds = summary.seconds if (summary := folder.summary()) else folder.seconds()

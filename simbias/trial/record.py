@@ -12,21 +12,22 @@ from dataclasses import asdict, replace
 from functools import cached_property
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from simbias.core import Task, platform
 from simbias.core.errors import ConfigError
-from simbias.core.messages import with_type, words
+from simbias.core.messages import words
 from simbias.core.records import Array, Iteration, Optimum, Rollout
 from simbias.lab.checked_hardware import MakeExperiment, place_of
 from simbias.lab.checks import check_rollout
+from simbias.lab.requests.folder import POLICY
 from simbias.trial.disk import (
     PART,
     append_line,
+    loaded,
     read_json,
-    require_file,
     room_for,
     write_json,
     write_whole,
@@ -53,9 +54,8 @@ ERROR, REFUSED = "error_", "refused_"
 ROUNDING = 1e-6  # by which a computed policy, as LQR's, may differ on another platform
 COMPARED = ("iteration", "total_experiments", "succeeded")  # of an iteration with its replay
 CHANGED = "was emptied, moved or changed while the trial ran. Put it back as it was; the same command resumes"
+SHARED = "simbias: %s was asked for by another trial, before this one began; it counts in both"
 MIXED = "simbias: trial %s mixes platforms, so its last bits are of neither: %s; now %s"
-
-Loaded = TypeVar("Loaded")
 
 
 class FolderRecord(Record):
@@ -115,7 +115,7 @@ class FolderRecord(Record):
         """The next search."""
         path = self._replayed(SEARCH)
         if path is not None:
-            optimum, seconds = _loaded(path, _load_search)
+            optimum, seconds = loaded(path, _load_search)
             self._searched += seconds
             return optimum
         begun = time.perf_counter()
@@ -130,7 +130,7 @@ class FolderRecord(Record):
         kind = EPISODE if self.testing else EXPERIMENT
         path = self._replayed(kind, EXPERIMENT)  # as episodes, too, were called at first
         if path is not None:
-            rollout = _loaded(path, self._experiment)[0]
+            rollout = loaded(path, self._experiment)[0]
             if not self._fits(rollout, theta):
                 raise changed(path)
             self._episodes += self.testing
@@ -140,6 +140,9 @@ class FolderRecord(Record):
         file = self._next(kind)
         with room_for(file, largest(self._longest_task, theta, place)):
             rollout = superseded or make(another(rng, withdrawn))
+            for asked in Path(rollout.source).parent.glob(POLICY) if rollout.source else ():
+                if asked.stat().st_mtime < self.folder.began:
+                    logging.getLogger(__name__).warning(SHARED, rollout.source)
             self._write(file, packed_rollout(rollout, place))
         return rollout
 
@@ -169,7 +172,7 @@ class FolderRecord(Record):
         latest, count = None, 0
         for file in self.folder.all_steps() if withdrawn and place else ():
             if file.name.endswith(kind):
-                rollout, own = _loaded(file, self._experiment)
+                rollout, own = loaded(file, self._experiment)
                 if own == place and np.array_equal(rollout.parameters, theta):
                     latest = None if file.name in withdrawn else rollout
                     count += file.name in withdrawn
@@ -186,7 +189,7 @@ class FolderRecord(Record):
             text = json.dumps(summary, indent=1, default=lambda value: value.tolist())  # NumPy's numbers
             self._keep(ITERATION, text.encode())
         else:
-            kept, seconds, predicted = _loaded(path, _load_iteration)
+            kept, seconds, predicted = loaded(path, _load_iteration)
             if kept != (iteration.index, iteration.total_experiments, iteration.succeeded):
                 raise changed(path)
             search = iteration.search
@@ -323,16 +326,6 @@ def changed(path: Path) -> ConfigError:
     code = "its code, a file that it reads or this folder has changed since. Move"
     why = code if gone is None else f"step {gone:04d} is missing. Put it back, or move"
     return ConfigError(str(path), f"does not fit the trial: {why} the folder away to begin again")
-
-
-def _loaded(path: Path, load: Callable[[Path], Loaded]) -> Loaded:
-    """The content of a step; a ConfigError if it cannot be read."""
-    try:
-        return load(require_file(path))
-    except ConfigError:
-        raise
-    except Exception as error:
-        raise ConfigError(str(path), f"cannot be read ({with_type(error)})") from error
 
 
 def _load_iteration(path: Path) -> tuple[tuple[Any, ...], dict[str, float], float | None]:

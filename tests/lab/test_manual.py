@@ -26,7 +26,10 @@ from simbias.lab.requests.request import ExperimentRequest
 from simbias.lab.requests.trajectory import header, read
 from simbias.lab.safety import Safety
 from simbias.policy.output_feedback import OutputFeedback
+from simbias.trial.folder import withdraw
+from simbias.trial.run import run_trial
 from simbias.trial.study import Study
+from simbias.trial.summary import Outcome
 
 OWN = [*(each for each in POINT_MASS if "hardware" not in each), "optimizer.max_evaluations=20"]
 
@@ -190,6 +193,31 @@ def test_a_person_reads_start_limits_and_what_to_do(point_mass: Study, tmp_path:
     request = requested(point_mass.task, np.array([0.5, 0.0]), safety)
     assert read(written(folder, table), request).failure == "unsafe_rate_of_force"
     assert "The controller is in controller.h (C99) and controller.py (Python)" in text
+
+
+@pytest.mark.slow
+def test_a_withdrawn_answer_is_taken_by_no_trial(
+    point_mass: Study, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Until then trials share the answer to an equal request, and a line says so."""
+    requests = tmp_path / "requests"
+    study = replace(point_mass, hardware=Manual(point_mass.task, str(requests)))
+    assert run_trial(study, tmp_path / "first").outcome is Outcome.WAITING
+    (first,) = requests.iterdir()
+    answer(first)
+    assert run_trial(study, tmp_path / "first").summary.experiments == 1
+    assert "asked for by another trial" not in caplog.text
+    assert run_trial(study, tmp_path / "second").summary.experiments == 1
+    assert f"{first}/trajectory.csv was asked for by another trial" in caplog.text
+    withdraw(tmp_path / "first" / "0001_experiment.npz", "a loose cable")
+    record = run_trial(study, tmp_path / "third")
+    assert (record.outcome, record.summary.experiments) == (Outcome.WAITING, 0)
+    anew = requests / f"002_{first.name.partition('_')[2]}"
+    answer(anew)
+    assert run_trial(study, tmp_path / "third").summary.experiments == 1
+    shutil.rmtree(requests)
+    withdraw(tmp_path / "second" / "0001_experiment.npz")
+    assert f"{first}/trajectory.csv is not there, so it is not marked as withdrawn" in caplog.text
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Iterable
 from pathlib import Path
 from textwrap import fill
@@ -16,7 +17,9 @@ from simbias.lab.requests.request import HEADER, MODULE, ExperimentRequest
 from simbias.lab.requests.trajectory import template
 
 TRAJECTORY = "trajectory.csv"  # the answer to a request
+WITHDRAWN = "withdrawn.txt"  # a mark: no trial takes the answer beside it any more
 POLICY, TEMPLATE, README = "policy.json", "template.csv", "README.txt"
+GONE = "simbias: %s is not there, so it is not marked as withdrawn"
 
 TEXT = """\
 Run the policy for {duration:g} s ({frames} frames at {rate:g} Hz) from
@@ -50,16 +53,16 @@ NO_CODE = (
 
 
 def write_request(request: ExperimentRequest, folder: Path) -> Path:
-    """A request's own folder in the folder of all, written unless it is there.
+    """A request's own folder in the folder of all, written unless one is there without a withdrawn answer.
 
     Raises
     ------
     OSError
         If it cannot be written.
     """
-    known = sorted(folder.glob(f"*_{request.name}"))
-    if known:
-        return known[0]
+    for known in sorted(folder.glob(f"*_{request.name}")):
+        if not (known / WITHDRAWN).exists():
+            return known
     number = sum(1 for each in folder.glob("*_*") if each.is_dir())
     own = folder / f"{number:03d}_{request.name}"
     part = folder / f".{own.name}.part"  # nobody takes half a request for a whole one
@@ -88,6 +91,14 @@ def write_controller(request: ExperimentRequest, folder: Path, title: str) -> li
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
     return list(texts)
+
+
+def mark_withdrawn(trajectory: Path, words: str) -> None:
+    """Mark an answer as withdrawn, so that no trial takes it again; a line if it is no longer there."""
+    if trajectory.exists():
+        (trajectory.parent / WITHDRAWN).write_text(f"{words}\n", encoding="utf-8")
+    else:
+        logging.getLogger(__name__).warning(GONE, trajectory)
 
 
 def copied_from(trajectory: Path) -> Path | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import final
 
@@ -54,4 +55,4 @@ class Manual(Hardware):
             raise Waiting(f"make the experiment of {folder / README}, and put its {TRAJECTORY} there")
         if other := copied_from(file):
             raise HardwareError(f"{file}: is the file that answers another request, {other}")
-        return read(file, request)
+        return replace(read(file, request), source=str(file.resolve()))
