@@ -12,7 +12,7 @@ from simbias.core.records import Array, Iteration, Optimum, Rollout
 from simbias.lab.checked_hardware import MakeExperiment
 from simbias.lab.checks import check_rollout
 from simbias.lab.rates import check_rates, rates_of
-from simbias.lab.requests.request import ExperimentRequest
+from simbias.lab.requests.request import ExperimentRequest, refuse_copy
 from simbias.lab.requests.trajectory import tell_other_commands
 from simbias.lab.targets import beside
 from simbias.trial.replay import EndOfRecord, Record
@@ -31,6 +31,7 @@ class AskTell:
         self._task = task
         self._run = run
         self._told: list[Rollout] = []
+        self._answers: list[tuple[ExperimentRequest, Rollout]] = []  # the same, as they were told
         self._optima: list[Optimum] = []
         self._request: ExperimentRequest | None = None
         self.iterations: tuple[Iteration, ...] = ()  # those that have ended
@@ -57,6 +58,13 @@ class AskTell:
         checked = check_rollout(rollout, SOURCE, self._task, request.bounds, request.start)
         check_rates(SOURCE, [checked], self._task, rates_of(self._task))
         tell_other_commands(checked.states, checked.inputs, request, SOURCE)
+        same = (
+            (f"that of experiment {number}", asked.content())
+            for number, (asked, each) in enumerate(self._answers, 1)
+            if np.array_equal(each.states, checked.states) and np.array_equal(each.inputs, checked.inputs)
+        )
+        refuse_copy(SOURCE, request.content(), same)
+        self._answers.append((request, checked))
         targets = getattr(request.policy, "targets", np.empty(0))
         self._told.append(beside(replace(checked, parameters=request.theta), targets))
         self._request = None

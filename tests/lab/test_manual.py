@@ -71,7 +71,7 @@ def test_a_trial_waits_for_a_person_and_resumes(folder: Path, capsys: pytest.Cap
             (before,) = Path("requests").glob("*/trajectory.csv")
             shutil.copy(before, asked)
             assert main(command) == FAILED
-            copied = f"{asked}/trajectory.csv: is the file that answers another request, {before}"
+            copied = f"{asked}/trajectory.csv: is what answers another request, {before}"
             assert copied in capsys.readouterr().err
             (asked / "trajectory.csv").write_text("time (s),position (m)\n0,0\n")
             assert main(command) == FAILED

@@ -215,6 +215,11 @@ def test_what_is_wrong_is_told_and_the_question_stays_open(point_mass: Study) ->
     with pytest.raises(HardwareError, match=r"^study\.tell: states: expected position to begin at "):
         point_mass.tell(replace(whole, states=whole.states + 10.0))
     assert point_mass.ask() is request
+    point_mass.tell(whole)
+    request = point_mass.ask()
+    with pytest.raises(HardwareError, match=r"^study\.tell: is what answers another request, that of exper"):
+        point_mass.tell(whole)
+    assert point_mass.ask() is request
 
 
 @pytest.mark.parametrize("start", [np.array([0.1]), np.zeros(3), 0.1])

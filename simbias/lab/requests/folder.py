@@ -13,7 +13,7 @@ import numpy as np
 
 from simbias.core.errors import ConfigError
 from simbias.lab.checks import start_tolerance
-from simbias.lab.requests.request import HEADER, MODULE, ExperimentRequest
+from simbias.lab.requests.request import HEADER, MODULE, ExperimentRequest, refuse_copy
 from simbias.lab.requests.trajectory import template
 
 TRAJECTORY = "trajectory.csv"  # the answer to a request
@@ -101,18 +101,16 @@ def mark_withdrawn(trajectory: Path, words: str) -> None:
         logging.getLogger(__name__).warning(GONE, trajectory)
 
 
-def copied_from(trajectory: Path) -> Path | None:
-    """The trajectory of another request, with another policy or start, that is the same file."""
-    own, folder = trajectory.read_bytes(), trajectory.parent
-    for other in sorted(folder.parent.glob(f"*_*/{TRAJECTORY}")):
-        if other != trajectory and other.read_bytes() == own and _asked(other.parent) != _asked(folder):
-            return other
-    return None
+def refuse_copied_file(trajectory: Path) -> None:
+    """Refuse the same file as the trajectory of another request; errors as of `refuse_copy`."""
+    own, all_of_them = trajectory.read_bytes(), trajectory.parent.parent.glob(f"*_*/{TRAJECTORY}")
+    same = (other for other in sorted(all_of_them) if other.read_bytes() == own)
+    refuse_copy(str(trajectory), _asked(trajectory), ((str(other), _asked(other)) for other in same))
 
 
-def _asked(folder: Path) -> dict[str, Any]:
-    """The content of a request, less what tells it from another of the same content."""
-    return {**json.loads((folder / POLICY).read_text(encoding="utf-8")), "request": ""}
+def _asked(trajectory: Path) -> dict[str, Any]:
+    """The content of its request, less what tells this from another of the same content."""
+    return {**json.loads(trajectory.with_name(POLICY).read_text(encoding="utf-8")), "request": ""}
 
 
 def files(request: ExperimentRequest) -> dict[str, str]:

@@ -11,7 +11,7 @@ import numpy as np
 from simbias.core import Hardware, HardwareError, Policy, Task, Waiting
 from simbias.core.messages import words
 from simbias.core.records import Array, Rollout
-from simbias.lab.requests.folder import README, TRAJECTORY, copied_from, write_request
+from simbias.lab.requests.folder import README, TRAJECTORY, refuse_copied_file, write_request
 from simbias.lab.requests.request import ExperimentRequest
 from simbias.lab.requests.trajectory import read
 
@@ -53,6 +53,5 @@ class Manual(Hardware):
         file = folder / TRAJECTORY
         if not file.exists():
             raise Waiting(f"make the experiment of {folder / README}, and put its {TRAJECTORY} there")
-        if other := copied_from(file):
-            raise HardwareError(f"{file}: is the file that answers another request, {other}")
+        refuse_copied_file(file)
         return replace(read(file, request), source=str(file.resolve()))

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from simbias.core import Controller, Policy, Quantity, Task
+from simbias.core import Controller, HardwareError, Policy, Quantity, Task
 from simbias.core.digest import short_digest
 from simbias.core.records import Array
 from simbias.lab.checks import start_tolerance
@@ -124,6 +124,21 @@ class ExperimentRequest:
                 for each in task.criteria
             ],
         }
+
+
+def refuse_copy(
+    source: str, asked: Mapping[str, Any], others: Iterable[tuple[str, Mapping[str, Any]]]
+) -> None:
+    """Refuse an answer that is the same as those to others, if one asked for another policy or start.
+
+    Raises
+    ------
+    HardwareError
+        In one line that names the other one.
+    """
+    for other, content in others:
+        if content != asked:
+            raise HardwareError(f"{source}: is what answers another request, {other}")
 
 
 def _named(quantities: Sequence[Quantity]) -> list[dict[str, Any]]:
