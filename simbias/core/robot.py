@@ -311,6 +311,8 @@ class Hardware(ABC):
         ------
         HardwareError
             If the experiment could not be carried out.
+        ConfigError
+            If a file that a person put for it cannot be taken: bad input.
         Waiting
             If its result is not there yet. The same experiment is asked for again at the next start.
         """

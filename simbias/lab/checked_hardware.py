@@ -17,6 +17,7 @@ from typing import Any, final
 import numpy as np
 
 from simbias.core import Hardware, HardwareError, Policy, Task, Waiting
+from simbias.core.errors import ConfigError
 from simbias.core.messages import with_type
 from simbias.core.records import Array, Rollout
 from simbias.lab.checks import check_rollout
@@ -138,6 +139,8 @@ class CheckedHardware(Hardware):
         HardwareError
             If it could not be carried out, for any error of the hardware; did not end in time; or its rollout
             is not what the contract asks for.
+        ConfigError
+            If a file that a person put for it cannot be taken.
         Waiting
             If its result is not there yet.
         """
@@ -190,7 +193,7 @@ class CheckedHardware(Hardware):
             if isinstance(error, HardwareError) and error.returned is not None and self._record:
                 where = self._record.refuse(error.returned, theta, start, str(error))
                 raise HardwareError(f"{error}{where}") from error
-            if isinstance(error, HardwareError | Waiting):
+            if isinstance(error, HardwareError | Waiting | ConfigError):
                 raise
             got = with_type(error, MESSAGE_LENGTH)
             raise HardwareError(f"{self._name}: expected a Rollout, got {got}") from error

@@ -10,7 +10,9 @@ from typing import final
 import numpy as np
 
 from simbias.core import Hardware, HardwareError, Policy, Task
+from simbias.core.errors import ConfigError
 from simbias.core.files import ConfigFile
+from simbias.core.messages import words
 from simbias.core.records import Array, Rollout
 from simbias.lab.checked_hardware import place_of
 from simbias.lab.recording import Reader
@@ -58,9 +60,19 @@ class Recorded(Hardware):
         self.reader = Reader(task, checked_columns(columns, names))
 
     def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
-        """The next recording, numbered by the generator, which was spawned from the trial's."""
-        files, place = self.files, place_of(rng)[:2]  # a random one's is one deeper
-        return self.rollout(files[[0, *place][-1] % len(files)])
+        """The next recording, numbered by the generator, which was spawned from the trial's.
+
+        Raises
+        ------
+        ConfigError
+            If there is none, it cannot be read, or it has a gap.
+        """
+        place = place_of(rng)[:2]  # a random one's is one deeper
+        try:
+            files = self.files
+            return self.rollout(files[[0, *place][-1] % len(files)])
+        except HardwareError as error:  # bad input: no robot is at fault
+            raise ConfigError("", words(error)) from error
 
     @property
     def files(self) -> list[str]:

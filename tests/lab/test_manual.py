@@ -13,10 +13,10 @@ from labs import THETA, lines, requested, written
 from point_mass import InTheWind, PointMass, Spring
 
 from simbias.__main__ import main
-from simbias.config import compose
+from simbias.config import ConfigError, compose
 from simbias.config.build import build
 from simbias.core import HardwareError, Waiting
-from simbias.core.commands import FAILED, SUCCEEDED, WAITING
+from simbias.core.commands import BAD_INPUT, SUCCEEDED, WAITING
 from simbias.core.records import Array
 from simbias.lab.checked_hardware import ExperimentConditions
 from simbias.lab.requests import controller, verification
@@ -70,14 +70,14 @@ def test_a_trial_waits_for_a_person_and_resumes(folder: Path, capsys: pytest.Cap
         if answered == 1:
             (before,) = Path("requests").glob("*/trajectory.csv")
             shutil.copy(before, asked)
-            assert main(command) == FAILED
+            assert main(command) == BAD_INPUT
             copied = f"{asked}/trajectory.csv: is what answers another request, {before}"
             assert copied in capsys.readouterr().err
             (asked / "trajectory.csv").write_text("time (s),position (m)\n0,0\n")
-            assert main(command) == FAILED
+            assert main(command) == BAD_INPUT
             line = capsys.readouterr().err
             assert f"{asked}/trajectory.csv: row 1: expected a column velocity (m/s), got none" in line
-            assert "(1 hardware experiment kept; " in line
+            assert "(1 hardware experiment kept)" in line
         answer(asked)
         answered += 1
         status = main(command)
@@ -230,7 +230,7 @@ def test_a_trajectory_of_another_start_is_refused(point_mass: Study, tmp_path: P
     assert study.experiment(THETA, np.random.default_rng(3), start).sensed
     text = (folder / "trajectory.csv").read_text().replace("0.0,0.5,", "0.0,0.2,", 1)
     (folder / "trajectory.csv").write_text(text)
-    with pytest.raises(HardwareError, match=r"trajectory\.csv: row 2, column position: expected the start"):
+    with pytest.raises(ConfigError, match=r"trajectory\.csv: row 2, column position: expected the start"):
         study.experiment(THETA, np.random.default_rng(3), start)
     (tmp_path / "file").touch()
     hardware = Manual(point_mass.task, str(tmp_path / "file"))

@@ -12,6 +12,7 @@ from errors import one_line
 from pendulum import experiment, pendulum
 
 from simbias.core import HardwareError
+from simbias.core.errors import ConfigError
 from simbias.core.records import Rollout
 from simbias.lab.recorded import ENDS, Recorded
 from simbias.lab.recording import Reader, Recording
@@ -450,7 +451,7 @@ def test_between_the_lines_states_are_linear_and_inputs_held(study: Study, tmp_p
 
 def test_what_cannot_be_read_is_told(study: Study, read: Read, tmp_path: Path) -> None:
     robot = Recorded(study.task, str(tmp_path))
-    with pytest.raises(HardwareError, match="no recording"):
+    with pytest.raises(ConfigError, match="no recording"):
         robot.run(study.policy, np.zeros(3), np.zeros(4), np.random.default_rng(0))
     with pytest.raises(HardwareError, match="expected a column pos2"):
         read("time,pos1\n0,1\n")

@@ -9,6 +9,7 @@ from typing import final
 import numpy as np
 
 from simbias.core import Hardware, HardwareError, Policy, Task, Waiting
+from simbias.core.errors import ConfigError
 from simbias.core.messages import words
 from simbias.core.records import Array, Rollout
 from simbias.lab.requests.folder import README, TRAJECTORY, refuse_copied_file, write_request
@@ -37,9 +38,10 @@ class Manual(Hardware):
 
         Raises
         ------
+        ConfigError
+            If something is wrong with it, in one line with file, row and column.
         HardwareError
-            If something is wrong with it, in one line with file, row and column, or the request cannot be
-            written.
+            If the request cannot be written.
         Waiting
             If it is not there yet.
         """
@@ -53,5 +55,8 @@ class Manual(Hardware):
         file = folder / TRAJECTORY
         if not file.exists():
             raise Waiting(f"make the experiment of {folder / README}, and put its {TRAJECTORY} there")
-        refuse_copied_file(file)
-        return replace(read(file, request), source=str(file.resolve()))
+        try:
+            refuse_copied_file(file)
+            return replace(read(file, request), source=str(file.resolve()))
+        except HardwareError as error:  # bad input: no robot is at fault
+            raise ConfigError(str(file), words(error).removeprefix(f"{file}: ")) from error
