@@ -58,7 +58,7 @@ class TrialExport(RunExport):
         running, run_id, self.run_id = is_locked(self.path / LOCK), self.run_id, ""
         run = self.runs.client.get_run(run_id) if run_id else self._run(description, courses)
         tags = _tags(summary) if summary else {}
-        for tag in {"error", "outcome"} & run.data.tags.keys() - tags.keys():
+        for tag in {"error", "waiting", "outcome"} & run.data.tags.keys() - tags.keys():
             self.runs.client.delete_tag(run.info.run_id, tag)
         tags[NOTE] = notes.note(description, iterations, summary, running, folder.withdrawals())
         files: dict[str, Path | bytes] = {"config.yaml": as_yaml(description["config"])}
@@ -171,7 +171,7 @@ def _tags(summary: TrialSummary) -> dict[str, str]:
     """How a trial ended, and on what it ran."""
     tags = {
         "outcome": str(summary.outcome),
-        "error": summary.stopped_by,
+        "waiting" if summary.outcome is Outcome.WAITING else "error": summary.stopped_by,
         "test_episodes": summary.test_episodes,
         "platform": " then ".join(summary.platforms)[:VALUE_LENGTH],
         "processor": summary.processor,
