@@ -148,10 +148,10 @@ class TrialConsole(Observer):
         self._model = model
 
     def _remark(self, remarks: Iterable[Remark]) -> None:
-        """Lines between those of the iterations, one of each kind."""
+        """Lines between those of the iterations; numbers the first time that one of a kind is said."""
         for remark in remarks:
-            if remark.kind not in self._said:
-                say(self._console, f"     {brief(remark.words)}", "yellow")
+            again = remark.kind in self._said
+            say(self._console, f"     {f'again: {remark.kind}' if again else brief(remark.words)}", "yellow")
             self._said.add(remark.kind)
 
     def experimenting(self, theta: Array, start: Array) -> None:

@@ -259,8 +259,8 @@ def test_what_cannot_be_meant_is_refused() -> None:
     cases: list[tuple[dict[str, Any], str]] = [
         ({"inputs": {}}, "^task: inputs is empty"),
         (
-            {"failure": {"falls": {"value": "angel", "above": 1}}},
-            "^task: falls: 'angel': nothing is called an",
+            {"failure": {"falls": {"value": "angel", "below": 1}}},
+            "^task: failure.falls: 'angel': nothing is called an",
         ),
         ({"failure": {"falls": {"value": "angle"}}}, "^task: failure.falls: one of above and below"),
         ({"states": {"a b": {"unit": "m"}}}, "^task.states: 'a b' is no name"),

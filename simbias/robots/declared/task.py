@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -152,9 +152,7 @@ class Declared(Task):
         """Set the failure criteria; refuse those that depend on targets, of which a robot knows nothing."""
         names = tuple(each.name for each in self.states[: len(self.states) - len(self.targets)])
         self.criteria = tuple(criterion_of(name, each, names) for name, each in failure.items())
-        self._measure = self.expressions(
-            {name: measure_of(f"failure.{name}", each) for name, each in failure.items()}
-        )
+        self._measure = self._measures("failure", failure, self._known["variables"])
         x = self.start_mean.copy()
         x[len(x) - len(self.targets) :] = np.nan
         for criterion, measure in zip(self.criteria, self.measure(x) if self.targets else (), strict=False):
@@ -209,11 +207,17 @@ class Declared(Task):
                 f"hold is {hold:g} s, and an episode {self.horizon * self.time_step:g} s: none can succeed"
             )
         names = success_names(self._known["variables"], self._goals)
-        texts = {f"success.{name}": measure_of(f"success.{name}", each) for name, each in success.items()}
-        measures = Expressions(texts, **{**self._known, "variables": names})
+        measures = self._measures("success", success, names)
         self._success = Success(success, measures, self.frames(hold) + 1, hold)
         errors = np.zeros(len(self._goals))
         self._success.check_at(np.append(np.full(len(names) - len(errors), np.nan), errors))
+
+    def _measures(self, key: str, conditions: Mapping[str, Failure], names: Sequence[str]) -> Expressions:
+        """What is above the limit of each condition where it holds."""
+        known, each = {**self._known, "variables": names}, conditions.items()
+        Expressions({f"{key}.{name}": condition.value for name, condition in each}, **known)  # or it raises
+        signed = {f"{key}.{name}": measure_of(f"{key}.{name}", condition) for name, condition in each}
+        return Expressions(signed, **known)
 
     @property
     def input_bounds(self) -> tuple[Array, Array]:
