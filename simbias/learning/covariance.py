@@ -11,6 +11,7 @@ from scipy.linalg import LinAlgError, cholesky
 from simbias.core import Task
 from simbias.core.records import Array
 
+FINEST = 1e-6  # of the signal's variance, the least noise; with less, single precision errs by more than it
 FAR = 100.0  # length scales from zero, beyond which coordinates in single precision get coarse
 
 
@@ -89,9 +90,12 @@ def hyperparameters(
     Raises
     ------
     ValueError
-        If a list does not have one value for each state and input, or an input has neither scale nor limit.
+        If a list does not have one value for each state and input, an input has neither scale nor limit, or
+        there is less noise than single precision resolves.
     """
     r = len(task.states) + len(task.inputs)
+    if noise_variance < FINEST * signal_variance:
+        raise ValueError(f"noise_variance: expected at least {FINEST:g} of signal_variance")
     if input_scale is None:
         for each, limit in zip(task.inputs, task.input_limit.tolist(), strict=True):
             if not np.isfinite(limit):

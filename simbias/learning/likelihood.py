@@ -29,7 +29,8 @@ class Learning:
 def learn(medians: Hyperparameters, transitions: Transitions, learning: Learning) -> Hyperparameters:
     """The most probable length scales, signal variance and ratio of noise to signal, given the data.
 
-    All outputs share them, each over its root mean square. Deterministic; without data, the medians.
+    All outputs share them, each over its root mean square. It is the mode that is found from the medians;
+    data that are rough may have another, more probable one. Deterministic; without data, the medians.
     """
     return mode(medians, transitions, learning)[0]
 

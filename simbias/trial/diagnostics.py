@@ -21,6 +21,7 @@ from simbias.simulation.closed_loop import simulator
 from simbias.trial.study import Study
 
 NEARER, EARLIER = 0.95, 0.9  # times the least distance in this share of an episode: it was coming nearer
+ROUGH = 0.5  # of the residuals' root mean square: a sparse posterior further from the exact one is told
 SAME = 1e-6  # of a policy's largest parameter, within which parameters say the same
 
 _simulated: WeakKeyDictionary[Iteration, tuple[Remark, ...]] = WeakKeyDictionary()
@@ -142,6 +143,13 @@ def of_prediction(theta: Array, model: Model | None, study: Study) -> Iterator[R
         rollout = _simulated_on(model, theta, model.task.start_mean, study.cost)
         yield from of_goal(rollout, model.task)
     yield from of_model(theta, model, study.cost)
+    error = model.bias.diagnostics.get("mean_error", 0.0)
+    if error > ROUGH:
+        yield Remark(
+            "a sparse Gaussian process is far from the exact one",
+            f"the sparse Gaussian process is up to {error:.1f} of the residuals' root mean square from the "
+            "exact one: learned hyper-parameters or more bias.inducing.points bring it nearer",
+        )
 
 
 def _simulated_on(model: Model, theta: Array, start: Array, cost: Cost) -> Rollout:

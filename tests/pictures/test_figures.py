@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from simbias.core import Quantity
+from simbias.core.parameters import Estimate, Parameter
 from simbias.core.records import Iteration, Rollout
 from simbias.pictures import costs, forecast, phases, prediction_errors, rejections
 from simbias.pictures.elements.drawing import NoPictureError
@@ -193,6 +194,11 @@ def test_forecast_shows_the_experiment_and_its_predictions(short: Study, trial: 
     assert "the band leaves the axes" in words
     assert bool(gone) == ("the nominal model leaves the axes" in words)
     assert not any(axes.collections for axes in forecast(short, trial[:1]).axes)  # nothing was learned
+    late = copy(last.model.nominal)  # whose delay is identified, and nothing else
+    late.parameters = (Parameter("wheel_mass", "kg", 2.0, 0.1),)
+    late.estimates = (Estimate("delay", "s", 0.0, 0.02, 0.01, 0.03),)
+    told = replace(last, model=replace(last.model, nominal=late))
+    assert "90% of 20 draws of bias" in texts(forecast(short, [*trial[:-1], told]))
 
 
 def test_rejections_count_every_sample(short: Study, trial: list[Iteration]) -> None:

@@ -28,6 +28,7 @@ class Delay(Identification):
     For each delay, Gaussian processes of the nominal model's residuals, with learned hyper-parameters, are
     functions of the states and of the inputs that act. Their marginal likelihood tells the delay: with a
     wrong one, the processes see inputs that did not cause the residuals, and take the difference for noise.
+    Draws of the model have the most probable delay, too.
 
     Parameters
     ----------

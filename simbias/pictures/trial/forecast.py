@@ -90,12 +90,14 @@ def _draws(study: Study, model: Model, experiment: Rollout) -> tuple[Array, str]
     """
     rng, own = np.random.default_rng(SEED), study.designed_on(model)
     nominal, bias = model.nominal, model.bias
-    drawn_of = ["model"] * bool(nominal.estimates) + ["bias"] * (bias.draw(rng) is not bias)
+    told = {each.name for each in nominal.estimates}
+    identified = any(each.name in told for each in nominal.parameters)  # else its draws are of the prior
+    drawn_of = ["model"] * identified + ["bias"] * (bias.draw(rng) is not bias)
     if not drawn_of:
         return None
     draws = np.full((DRAWS, study.task.horizon + 1, len(study.task.states)), np.nan)
     for states in draws:
-        drawn = nominal.draw(rng) if nominal.estimates else nominal
+        drawn = nominal.draw(rng) if identified else nominal
         rollout = own.simulate(experiment.parameters, bias.draw(rng), experiment.states[0], drawn)
         states[: len(rollout.states)] = rollout.states
     return draws, " and ".join(drawn_of)
