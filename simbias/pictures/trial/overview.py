@@ -139,10 +139,12 @@ def _draw_measure(
     axes: Axes, study: Study, rollouts: Sequence[NamedRollout], measure: Measure, ticks: Array
 ) -> None:
     """A measure over time, in simulation and on hardware; a tick below each snapshot."""
-    values = [measure.limit]
+    values, named = [measure.limit], rollouts[-1].rollout.failure
     for name, rollout, color, line in rollouts:
         frames, measures = measure.of(rollout)
         times = study.task.time_step * frames
+        if rollout.failure not in (None, named):
+            name = f"{name}, until {failure_words(study, rollout)}"
         axes.plot(times, measures, line, color=color, label=name)
         if rollout.failed_at is not None:
             axes.plot(times[-1], measures[-1], "X", color=color, markersize=9, zorder=3, clip_on=False)
