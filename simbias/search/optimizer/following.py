@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from simbias.core import GoalWeights, Model, Task, wrapped
+from simbias.core import GoalWeights, Model, wrapped
 from simbias.core.records import Array
 from simbias.policy.trajectory import Trajectory
 from simbias.search.goal import goal_along, moves
@@ -50,7 +50,7 @@ class Following:
         self.sliding = model.nominal.without_dry_friction()
         self.model = replace(model, nominal=self.sliding) if sliding else model
         self._off_goal = None if weights is None else weights.errors  # (g,)
-        self.holding = 0.0  # weight of squared criteria of failure, over what the start has left of them, 1/s
+        self.held: Array | float = 0.0  # weights (c,) of squared criteria of failure, 1/s
 
     def policies(self, plan: Plan, policy: Trajectory, input_weights: Sequence[float]) -> Iterator[Array]:
         """Parameters (p,) of the policy that follows a plan, for each weight of inputs at their limits.
@@ -152,9 +152,9 @@ class Following:
             return np.tile(np.eye(self._n), (len(states), 1, 1))
         G = self.goal_slopes(states)
         Q = np.einsum("g,tgi,tgj->tij", self._off_goal, G, G)
-        if self.holding:
-            C = derivatives(self._task.measure, states, np.full(self._n, STEP)) / spare(self._task)[:, None]
-            Q += self.holding * np.einsum("tci,tcj->tij", C, C)
+        if np.any(self.held):
+            C = derivatives(self._task.measure, states, np.full(self._n, STEP))
+            Q += np.einsum("c,tci,tcj->tij", self.held, C, C)
         return Q
 
     def _gains(self, M: Array, Q: Array, weight: float, final: Array | None) -> Array:
@@ -174,12 +174,6 @@ class Following:
         lost = self.sliding.step(x, inputs) - self._nominal.step(x, inputs)
         _, B = linearization(self.sliding, x, inputs, self._task.input_limit)
         return (np.linalg.pinv(B) @ lost[..., None])[..., 0]
-
-
-def spare(task: Task) -> Array:
-    """How far (c,) the mean start is from the limit of each criterion of failure; 1 where it has none."""
-    limits = np.array([criterion.limit for criterion in task.criteria])
-    return np.nan_to_num(limits - task.measure(task.start_mean), posinf=1.0)
 
 
 def _at(frames: Array, rows: Array) -> Array:

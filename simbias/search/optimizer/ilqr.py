@@ -21,7 +21,7 @@ from simbias.core.records import Array
 from simbias.policy.trajectory import Trajectory
 from simbias.search.goal import goal_along, moves
 from simbias.search.lqr import rest
-from simbias.search.optimizer.following import STEP, Following, Plan, spare
+from simbias.search.optimizer.following import STEP, Following, Plan
 from simbias.search.optimizer.riccati import Quadratic, beside, solved
 from simbias.simulation.closed_loop import simulator
 from simbias.simulation.linearization import derivatives
@@ -36,7 +36,8 @@ ITERATIONS = 200
 PATIENCE, PROGRESS = 10, 0.01  # it ends where that many iterations save less than this share
 LEAST, MOST = 1e-6, 1e8  # damping: where not even the most lets a step cost less, none does
 FROM_REST, FROM_REST_PATIENCE = 1e6, 3  # damping and patience of what begins at rest
-MARGIN = 0.5  # of what the start has left of a criterion: nearer to its limit, a plan costs more
+MARGINS = 0.5, 0.2, 0.05  # of what the start has left of a criterion: nearer to its limit, a plan costs more
+SAVED = 0.9  # times the cost, below which a plan may come that near
 KEEPING = 10.0 ** np.arange(2, 6)  # times the mean cost of resting: that of using up all of it and more
 PIECE, AMPLITUDE = 0.3, 0.6  # s, and share of the limits, of the random inputs that it begins with
 SEED = 0  # of these inputs: the same model has the same trajectories
@@ -104,6 +105,11 @@ def _unfailing(task: Task) -> Task:
     return other
 
 
+def _lasts(plan: Plan, task: Task) -> bool:
+    """Whether a plan violates no criterion of a task."""
+    return bool((task.violated(plan.states[1:]) < 0).all())
+
+
 class Shooting:
     """Plans of a model, as it is or as its joints slide, from the task's mean start to its goal."""
 
@@ -129,7 +135,7 @@ class Shooting:
 
         Where rollouts of trajectories that begin at rest fail, the way to one that succeeds may lead over
         such that do: if none was found, it is searched as if nothing failed, too. If that one fails, what
-        comes near to limits of failure costs more and more, until it does not.
+        comes near to limits of failure costs more and more, until it lasts.
         """
         if rng is not None:
             first = self._first(rng)
@@ -139,9 +145,9 @@ class Shooting:
             return plan
         free = Shooting(replace(self._model, task=_unfailing(self._task)), self._goal_weights, self._sliding)
         other = free._from_rest()
-        if other is not None and self._fails(other):
-            other, self.following.holding = free._kept_within(self._task)
-        if other is None or self._fails(other):
+        if other is not None and not _lasts(other, self._task):
+            other, self.following.held = free._kept_within(self._task)
+        if other is None:
             return plan
         return other if plan is None else min(plan, other, key=lambda each: each.cost)
 
@@ -150,26 +156,39 @@ class Shooting:
         first = self._rest()
         return first and self._descended(first, FROM_REST, FROM_REST_PATIENCE)
 
-    def _fails(self, plan: Plan) -> bool:
-        return bool((self._task.violated(plan.states[1:]) >= 0).any())
+    def _kept_within(self, task: Task) -> tuple[Plan | None, Array | float]:
+        """A trajectory from rest that keeps away from the limits of a task's criteria, if it can.
 
-    def _kept_within(self, task: Task) -> tuple[Plan | None, float]:
-        """A trajectory from rest that does not come near to the limits of a task's criteria, if it can.
-
-        With it comes what squares of criteria weigh in it, as `Following.holding`.
+        It comes nearer to them only where that saves much. With it comes what squares of criteria weigh in
+        it, as `Following.held`.
         """
-        plan, damping, self._spare = self._rest(), FROM_REST, spare(task)
-        limits = np.array([criterion.limit for criterion in task.criteria])
-        self._inside = limits - MARGIN * self._spare
-        if plan is None:
+        first = self._rest()
+        if first is None:
             return None, 0.0
-        for self._keeping in KEEPING * plan.cost / task.horizon:
+        limits = np.array([criterion.limit for criterion in task.criteria])
+        self._spare = np.nan_to_num(limits - task.measure(task.start_mean), posinf=1.0)
+        weights, per_second = KEEPING * first.cost / task.horizon, self._spare**-2.0 / task.time_step
+        if not _lasts(first, task):
+            self.following.held = weights[0] * per_second
+            first = self._rest() or first
+        best, held = None, 0.0 * per_second
+        for margin in MARGINS:
+            self._inside = limits - margin * self._spare
+            begun, damping = (first, FROM_REST) if best is None else (best, 1.0)
+            plan, weight = self._held(begun, damping, weights, task)
+            if _lasts(plan, task) and (best is None or plan.cost < SAVED * best.cost):
+                best, held = plan, weight * per_second
+        return best, held
+
+    def _held(self, plan: Plan, damping: float, weights: Array, task: Task) -> tuple[Plan, float]:
+        """The plan of the first of these weights of excesses that lets it last, or of the last; and it."""
+        for self._keeping in weights.tolist():
             plan = self._descended(self._judged(plan.states, plan.inputs), damping, PATIENCE)
-            if (task.violated(plan.states[1:]) < 0).all():
-                break
             damping = 1.0
-        kept, self._keeping = self._keeping, 0.0
-        return self._judged(plan.states, plan.inputs), kept / task.time_step
+            if _lasts(plan, task):
+                break
+        weight, self._keeping = self._keeping, 0.0
+        return self._judged(plan.states, plan.inputs), weight
 
     def _excess(self, states: Array) -> Array:
         """How far (..., c) states (..., n) are beyond what is near to limits, in what the start has left."""
