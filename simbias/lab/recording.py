@@ -23,8 +23,9 @@ RAREST = 20.0  # frames from one sample to the next of what is measured most oft
 RAREST_OF_UNIT = 1000.0  # where its unit is named
 SMOOTH = 0.02  # s, over which a velocity is estimated from positions
 SHORT = 0.005  # s, of frames: in longer ones, a parabola of five frames misses how the acceleration changes
-AROUND = 3  # frames at most to each side of a longer one, whose velocity is that of a polynomial of degree 4,
+AROUND = 3  # frames at most to each side of a longer one, whose velocity is that of a cubic,
 LONGEST = 0.06  # s, within so long
+COARSE = 0.012  # s: in longer frames, estimated velocities lack what changes fast
 TWICE = 2.0  # how much inputs may exceed their limit
 SAME = 0.01  # of the samples: fewer that have the time of the one before are not told
 MOSTLY = 0.99  # of the frames: peaks of a sensor's noise exceed more
@@ -98,7 +99,12 @@ class Reader:
             name, unit = self._named(file, quantity.name)
             if i in self._rates and not file.has(name):
                 lacks = "" if name == quantity.name else f", as there is no column {quote(name)}"
-                notes.append(f"{quantity.name} is estimated from {quantities[self._rates[i]].name}{lacks}")
+                said = f"{quantity.name} is estimated from {quantities[self._rates[i]].name}{lacks}"
+                frame = self._task.time_step
+                coarse = (
+                    f"; in frames of {frame:g} s, what is identified may be 1% off, whatever its interval"
+                )
+                notes.append(said + coarse * (frame > COARSE))
                 continue
             signal = file.signal(name, time)
             scale = _factor(file, quantity.name, unit or file.unit(name) or quantity.unit, quantity.unit)
@@ -225,7 +231,7 @@ class Reader:
         from scipy.signal import savgol_filter  # lazily: few recordings need it
 
         h = self._task.time_step
-        degree, around = (2, SMOOTH / h / 2) if h <= SHORT else (4, min(AROUND, LONGEST / h))
+        degree, around = (2, SMOOTH / h / 2) if h <= SHORT else (3, min(AROUND, LONGEST / h))
         width = min(2 * max(2, round(around)) + 1, len(values) // 2 * 2 - 1)
         if width < 3:
             return np.gradient(values, h)

@@ -12,6 +12,7 @@ from models import driven, with_values
 from pendulum import NOISE, QUICK, experiment, pendulum, truth
 
 import simbias
+from simbias.core import Nominal, Task
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.directions import undetermined
 from simbias.learning.identification.identified import Identified
@@ -61,8 +62,14 @@ def test_it_predicts_what_it_has_not_seen(study: Study, fitted: tuple[Identified
 def test_what_shorter_steps_move_is_told() -> None:
     """Of a robot with dry friction, by steps of 10 ms; not by steps of 1 ms.
 
-    Nothing is said of models that cannot have shorter frames, or have the same whatever they are.
+    Nothing is said of models that have the same frames whatever the task's are, or whole steps of 5 ms.
     """
+
+    def of_whole_steps(study: Study, task: Task) -> Nominal:
+        other = copy(task)
+        other.time_step = 0.005 * max(1, round(task.time_step / 0.005))
+        return study.nominal_of(other)
+
     quick = ["identification=posterior", *QUICK, "task.time_step=0.02"]
     robot = with_values(pendulum(*quick, "nominal.sub_step=0.0005").nominal, friction_1=0.1, friction_2=0.05)
     recording = [experiment(robot, np.random.default_rng(4), 400, NOISE / [2, 2, 50, 50])]
@@ -72,9 +79,8 @@ def test_what_shorter_steps_move_is_told() -> None:
         posterior: Any = study.identification
         given = posterior, posterior.fit(study.nominal, recording), recording, ()
         moved[step] = moved_by_shorter_steps(study.task, study.nominal_of, *given)
-        assert not moved_by_shorter_steps(
-            study.task, partial(lambda made, _: made, study.nominal), *given
-        ).any()
+        for other in (partial(lambda made, _: made, study.nominal), partial(of_whole_steps, study)):
+            assert not moved_by_shorter_steps(study.task, other, *given).any()
     assert moved[0.01].max() > 1.5 > 0.5 > moved[0.001].max()
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 
 from simbias.core import Bias, FittedBias, SlowWarning, Task
-from simbias.core.ranges import CountOrZero, NonNegative, Positive, Scale
+from simbias.core.ranges import CountOrZero, NonNegative, Scale
 from simbias.core.records import Transitions
 from simbias.learning.bias.inducing import Inducing
 from simbias.learning.bias.posterior import exact, sparse
@@ -28,7 +28,7 @@ class GaussianProcess(Bias):
     signal_variance, noise_variance
         alpha^2 and sigma^2 of Eq. 3, of residuals over their root mean square.
     d
-        Weight of the variance in Eq. 7.
+        Weight of the variance in Eq. 7, which is that of all states together; 0: the mean as it is.
     input_scale
         One number for each state and input; by default 1 for states, its limit for an input.
     learning
@@ -53,7 +53,7 @@ class GaussianProcess(Bias):
         length_scale: Scale | list[Scale] = 1.0,
         signal_variance: Scale = 1.0,
         noise_variance: Scale = 0.018315638888734182,  # e^-4
-        d: Positive = 1.0,
+        d: NonNegative = 1.0,
         input_scale: list[Scale] | None = None,
         learning: Learning | None = None,
         inducing: Inducing | None = None,

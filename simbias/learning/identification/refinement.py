@@ -15,8 +15,8 @@ from simbias.learning.identification.posterior import Posterior
 from simbias.learning.identification.problem import Comparison
 from simbias.simulation.open_loop import plain
 
-STEPS = 8  # of a frame
-ANOTHER = 0.5  # of what the robot moves by in a window: a model that differs more does not know its frames
+SHORTER, SHORTEST = 10, 16  # steps of a frame
+AGREE = 0.5  # of what they change: where these two differ more, the model has steps of its own
 
 
 @final
@@ -48,25 +48,34 @@ def moved_by_shorter_steps(
 ) -> Array:
     """How far (p,) the mode would move, in its standard deviations, to first order.
 
-    Zeros of a model that cannot be made for shorter frames, or that remembers its last ones.
+    Zeros of a model that cannot be made for shorter frames, or that remembers its last ones, or has steps of
+    its own, of which frames are no whole number.
     """
-    nominal, still = nominal_of(task), np.zeros(len(fitted.parameters))
-    shorter = copy(task)
-    shorter.time_step = task.time_step / STEPS
+    still = np.zeros(len(fitted.parameters))
     try:
-        refined = Refined(nominal_of(shorter), STEPS)
+        nominal, *refined = (_refined(nominal_of, task, steps) for steps in (1, SHORTER, SHORTEST))
     except Exception:  # an own model may refuse
         return still
-    if nominal.state_size or refined.parameters != nominal.parameters or fitted.errors is None:
+    if nominal.state_size or refined[0].parameters != nominal.parameters or fitted.errors is None:
         return still
     windows = posterior.windows(rollouts, recordings)
     coarse = Comparison(posterior.prior(nominal), windows)
-    fine = Comparison(posterior.prior(refined), windows, plain)  # once: to compile it would take longer
     coarse.errors = fitted.errors
     z = coarse.coordinates(fitted)
-    difference = fine.prediction_errors(z[None])[0] - coarse.prediction_errors(z[None])[0]
-    moves = windows.means - windows.begin[windows.starts][:, None]
-    if not (np.std(difference, axis=(0, 1)) <= ANOTHER * np.std(moves, axis=(0, 1))).all():
+    # Once: to compile them would take longer.
+    fine = [
+        Comparison(posterior.prior(each), windows, plain).prediction_errors(z[None])[0] for each in refined
+    ]
+    shorter, shortest = (each - coarse.prediction_errors(z[None])[0] for each in fine)
+    if np.linalg.norm(shortest - shorter) > AGREE * np.linalg.norm(shortest):
         return still
-    shift = coarse.shift(z, difference)[: len(still)]
-    return np.abs(shift) / np.sqrt(np.diag(fitted.covariance))
+    return np.abs(coarse.shift(z, shortest)[: len(still)]) / np.sqrt(np.diag(fitted.covariance))
+
+
+def _refined(nominal_of: Callable[[Task], Nominal], task: Task, steps: int) -> Nominal:
+    """The model in so many steps of a frame."""
+    if steps == 1:
+        return nominal_of(task)
+    shorter = copy(task)
+    shorter.time_step = task.time_step / steps
+    return Refined(nominal_of(shorter), steps)

@@ -51,8 +51,9 @@ def trajectory_candidates(
     The trajectories are of the first of the models that has any: a correction learned from few experiments
     may make a model fail whatever its inputs. A trajectory costs what the weights say, those of a cost that
     is quadratic about the goal; else there are weights of its own. Trajectories to a goal that rests begin
-    with different random inputs, the one to a goal that moves, or where all of these fail, at rest. They are
-    planned once the first policy is asked for, which a search that is replayed does not do.
+    with different random inputs, the one to a goal that moves, or where all of these fail, at rest; to one
+    that leaves some states free, one begins at rest, too. They are planned once the first policy is asked
+    for, which a search that is replayed does not do.
 
     Raises
     ------
@@ -65,10 +66,13 @@ def trajectory_candidates(
     task, policy = models[0].task, follower(models[0].task, models[0].policy)
     if policy.resting:  # the plan ends before, and rests
         task = task.with_horizon(task.horizon - task.frames(policy.resting))
-    begun_at_rest = (True,) if moves(goal_along(task)) else (False, True)
-    for at_rest, model in product(begun_at_rest, models):
+    if moves(goal_along(task)):
+        begun = [(0, 1)]  # with so many random inputs, and so often at rest
+    else:
+        begun = [(count, 0), (0, 1)] if task.goals == task.states else [(count, 1)]
+    for (random, at_rest), model in product(begun, models):
         shooting = Shooting(replace(model, task=task), weights, policy.sliding)
-        rngs = [None] if at_rest else np.random.default_rng(SEED).spawn(count)
+        rngs = [*np.random.default_rng(SEED).spawn(random), *[None] * at_rest]
         found = [plan for plan in map(shooting.plan, rngs) if plan is not None]
         if found:
             best = min(found, key=lambda plan: plan.cost)
@@ -145,11 +149,13 @@ class Shooting:
             return plan
         free = Shooting(replace(self._model, task=_unfailing(self._task)), self._goal_weights, self._sliding)
         other = free._from_rest()
+        held: Array | float = 0.0
         if other is not None and not _lasts(other, self._task):
-            other, self.following.held = free._kept_within(self._task)
-        if other is None:
+            other, held = free._kept_within(self._task)
+        if other is None or (plan is not None and plan.cost <= other.cost):
             return plan
-        return other if plan is None else min(plan, other, key=lambda each: each.cost)
+        self.following.held = held
+        return other
 
     def _from_rest(self) -> Plan | None:
         """The trajectory at the end of steps from rest."""
