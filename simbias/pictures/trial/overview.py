@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 
 from simbias.core.records import Array, Indices, Iteration, Rollout
@@ -44,6 +45,7 @@ from simbias.trial.study import Study
 COLUMNS = 6  # of snapshots
 PANEL, LABELS = 1.25, 1.05  # in, heights of a panel, and of what is written above and below it
 SNAPSHOT = 1.02  # in, width
+PAD = 0.08  # in, above and below
 WIDTHS = (4.0, 1.0)  # of the policies, and of the costs
 POINTS = 200  # of a cost over time
 Z_MAX = r"limit $Z_{\max}$"
@@ -74,7 +76,7 @@ def overview(study: Study, iterations: Sequence[Iteration], draw: Drawing | None
     """
     draw = draw or drawing_of(study.task)
     both = first_and_last(on_hardware(iterations))
-    figure = Figure(layout="constrained")
+    figure = Figure(layout=ConstrainedLayoutEngine(h_pad=PAD))
     left, right = figure.subfigures(1, 2, width_ratios=WIDTHS, squeeze=False)[0]
     blocks = left.subfigures(len(both), squeeze=False)[:, 0]
     shown = [worst_experiment(iteration) for iteration in both]
