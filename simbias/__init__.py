@@ -117,4 +117,4 @@ def identify(
     fitted, kept = read(study, recordings, columns, held_out, LONGEST), read(study, held_out, columns)
     for note in (*fitted.notes, *kept.notes):
         warnings.warn(note, stacklevel=2)
-    return assess(study, fitted.rollouts, kept.rollouts)
+    return assess(study, fitted.rollouts, kept.rollouts, doubt=fitted.doubt)

@@ -40,6 +40,7 @@ class Recording:
     pieces: tuple[Rollout, ...]
     times: tuple[Array, ...]  # of each piece (k,): when the first state was measured, in s from its start
     notes: tuple[str, ...]  # what was done to the data, and what they cannot tell
+    coarse: bool = False  # whether velocities are estimated in frames that are too long for it
 
 
 class Reader:
@@ -78,7 +79,8 @@ class Reader:
             *self._beyond_limits(path, pieces),
             *self._still(pieces),
         ]
-        return Recording(pieces, times, (*file.notes, *notes))
+        coarse = self._task.time_step > COARSE and measured_rates != self._rates
+        return Recording(pieces, times, (*file.notes, *notes), coarse)
 
     def _signals(self, file: Signals, notes: list[str]) -> dict[int, Signal]:
         """Signals by the place of states, then inputs, in the task's units and s; angles unwound.
@@ -99,12 +101,7 @@ class Reader:
             name, unit = self._named(file, quantity.name)
             if i in self._rates and not file.has(name):
                 lacks = "" if name == quantity.name else f", as there is no column {quote(name)}"
-                said = f"{quantity.name} is estimated from {quantities[self._rates[i]].name}{lacks}"
-                frame = self._task.time_step
-                coarse = (
-                    f"; in frames of {frame:g} s, what is identified may be 1% off, whatever its interval"
-                )
-                notes.append(said + coarse * (frame > COARSE))
+                notes.append(f"{quantity.name} is estimated from {quantities[self._rates[i]].name}{lacks}")
                 continue
             signal = file.signal(name, time)
             scale = _factor(file, quantity.name, unit or file.unit(name) or quantity.unit, quantity.unit)

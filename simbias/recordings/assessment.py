@@ -107,12 +107,12 @@ class Assessment:
         each = ((one.unexplained(), one.seconds) for one in self.predictions)
         return max((found for found in each if found[0] > UNEXPLAINED), default=None)  # not where it is nan
 
-    def doubted(self) -> Assessment:
-        """The same, in which a doubt about the whole model is one about each parameter."""
-        if self.better and self.unexplained is None:
-            return self
-        doubt = "the model lacks something" if self.better else "the model is no better than the nominal one"
-        return replace(self, findings=[replace(each, doubts=(*each.doubts, doubt)) for each in self.findings])
+    def doubted(self, doubt: str = "") -> Assessment:
+        """The same, in which what is doubtful about the model or its recordings is so of each parameter."""
+        lacks = "the model lacks something" if self.unexplained is not None else ""
+        doubts = doubt, lacks if self.better else "the model is no better than the nominal one"
+        more = tuple(filter(None, doubts))
+        return replace(self, findings=[replace(each, doubts=(*each.doubts, *more)) for each in self.findings])
 
     @property
     def undetermined(self) -> list[Direction]:
@@ -146,11 +146,13 @@ def assess(
     recordings: Mapping[str, Sequence[Rollout]],
     held_out: Mapping[str, Sequence[Rollout]] | None = None,
     progress: Callable[[str], None] = lambda words: None,
+    doubt: str = "",
 ) -> Assessment:
     """Identify the nominal model of a study, which is `prepared`, from recordings, and judge it.
 
     Recordings are given by name, each as its pieces. Without ones that are held out, each recording (of a
-    single one, each third) is predicted by a model of all others.
+    single one, each third) is predicted by a model of all others. A doubt about the recordings is one about
+    each parameter.
 
     Raises
     ------
@@ -207,7 +209,7 @@ def assess(
         predictions(study.task, study.nominal, models, [part.rollouts for part in judged], learned),
         reversed_inputs(study.task, [study.nominal, identified], everything.rollouts),
     )
-    return assessment.doubted()
+    return assessment.doubted(doubt)
 
 
 def reversed_inputs(task: Task, models: Sequence[Nominal], rollouts: Sequence[Rollout]) -> dict[str, float]:

@@ -29,6 +29,7 @@ class Recordings(NamedTuple):
     times: dict[str, tuple[Array, ...]]  # (k,) when each was measured, in s from its start
     notes: tuple[str, ...]  # what was done to the data, and the files
     extent: str  # how long each file is, and how often it was measured
+    doubt: str = ""  # about what is identified from them
 
     @property
     def pieces(self) -> Part:
@@ -62,7 +63,7 @@ def read(
     kept, files = _by_place(held_out), _by_place(places)
     rollouts, times = dict[str, tuple[Rollout, ...]](), dict[str, tuple[Array, ...]]()
     notes, extents = dict[str, list[str]](), list[str]()  # the files that a note is on
-    seen, needed, posterior = set[str](), None, study.identification
+    seen, needed, posterior, doubt = set[str](), None, study.identification, ""
     if windows and isinstance(posterior, Posterior):
         needed = posterior.with_window(windows * posterior.window)
     for place, file in files.items():
@@ -74,6 +75,8 @@ def read(
             recording = hardware.reader.read(file, whole_lines=True)
         except HardwareError as error:
             raise ConfigError("", words(error)) from error
+        if recording.coarse:
+            doubt = f"velocities are estimated in frames of {study.task.time_step:g} s"
         for note in recording.notes:
             notes.setdefault(note, []).append(name)
         if (samples := _samples(recording.pieces)) in seen:
@@ -95,7 +98,7 @@ def read(
         intervals = sum(len(when) - 1 for _, when in pieces)
         extents.append(f"{name} {seconds:.3g} s at {intervals / seconds:.3g} Hz")
     told = tuple(f"{', '.join(names)}: {note}" for note, names in notes.items())
-    return Recordings(rollouts, times, told, ", ".join(extents))
+    return Recordings(rollouts, times, told, ", ".join(extents), doubt)
 
 
 def _samples(pieces: Sequence[Rollout]) -> str:

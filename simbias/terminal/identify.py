@@ -112,6 +112,7 @@ def identify(request: Request, attach: bool = False) -> bool:
                 recordings.rollouts,
                 held_out.rollouts,
                 lambda each: tell_of(f"fitting {each}"),
+                recordings.doubt,
             )
             tell_of("looking for what to record next")
             excitation = next_excitation(study, assessment)

@@ -241,7 +241,9 @@ def test_estimated_velocities_are_not_damped(frame: float, tmp_path: Path) -> No
     table = pd.DataFrame({"time": t, **swing, "tau1": np.sin(t), "tau2": np.cos(t)})
     table.to_csv(tmp_path / "one.csv", index=False)
     task = pendulum(f"task.time_step={frame}").task
-    found = Reader(task, {name: name for name in NAMES}).read(tmp_path / "one.csv").pieces[0].states[5:-5, 2]
+    recording = Reader(task, {name: name for name in NAMES}).read(tmp_path / "one.csv")
+    assert recording.coarse == (frame > 0.01)
+    found = recording.pieces[0].states[5:-5, 2]
     true = 4.8 * np.cos(6.0 * t)[5 : len(found) + 5]
     assert found @ true / (true @ true) == pytest.approx(1.0, abs=3e-3)
 

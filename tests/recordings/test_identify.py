@@ -162,6 +162,21 @@ def test_an_input_whose_sign_is_the_other_way_is_named(
     assert [*reversed_inputs(study.task, both, rollouts).values()] == [0.6]  # the nominal model's
 
 
+def test_velocities_that_are_estimated_in_long_frames_are_doubted(
+    assessment: Assessment, folder: Path
+) -> None:
+    t, names = np.arange(0.0, 3.0, 0.02), ["pos1", "pos2", "tau1", "tau2"]
+    pd.DataFrame({"time": t} | {name: np.sin(t) for name in names}).to_csv("positions.csv", index=False)
+    options = ["preset=double_pendulum", "identification=posterior", "tracking=none"]
+    long, short = (simbias.load([*options, f"task.time_step={frame}"]) for frame in (0.02, 0.01))
+    doubt = read(long, ["positions.csv"]).doubt
+    assert doubt == "velocities are estimated in frames of 0.02 s"
+    assert not read(short, ["positions.csv"]).doubt
+    for before, after in zip(assessment.findings, assessment.doubted(doubt).findings, strict=True):
+        assert after.doubts == (*before.doubts, doubt)
+        assert not after.trusted
+
+
 def test_what_takes_up_a_parameter_that_changes_is_doubted_with_it(assessment: Assessment) -> None:
     """Where recordings disagree on friction, the joint's damping is doubted, too, and nothing else."""
     fitted, names = assessment.identified, [each.prior.name for each in assessment.findings]
