@@ -144,14 +144,16 @@ class TrialConsole(Observer):
     def designed(self, theta: Array, model: Model | None = None, search: Search | None = None) -> None:
         """Say what is odd about a policy, before hardware is spent on it."""
         self._remark(diagnostics.of_policy(theta, search, self._iterations))
-        self._remark(diagnostics.of_prediction(theta, model, self._study))
+        self._remark(diagnostics.of_prediction(theta, model, self._study), again=True)
         self._model = model
 
-    def _remark(self, remarks: Iterable[Remark]) -> None:
-        """Lines between those of the iterations; numbers the first time that one of a kind is said."""
+    def _remark(self, remarks: Iterable[Remark], again: bool = False) -> None:
+        """Lines between those of the iterations, one of each kind; or others in brief."""
         for remark in remarks:
-            again = remark.kind in self._said
-            say(self._console, f"     {f'again: {remark.kind}' if again else brief(remark.words)}", "yellow")
+            if remark.kind not in self._said:
+                say(self._console, f"     {brief(remark.words)}", "yellow")
+            elif again:
+                say(self._console, f"     again: {remark.kind}", "yellow")
             self._said.add(remark.kind)
 
     def experimenting(self, theta: Array, start: Array) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
@@ -18,6 +19,7 @@ from simbias.lab.targets import beside
 from simbias.trial.replay import EndOfRecord, Record
 
 SOURCE = "study.tell"
+AGAIN = "simbias: %s: is the rollout of experiment %d again, though another start was asked for"
 
 
 class AskTell:
@@ -58,12 +60,12 @@ class AskTell:
         checked = check_rollout(rollout, SOURCE, self._task, request.bounds, request.start)
         check_rates(SOURCE, [checked], self._task, rates_of(self._task))
         tell_other_commands(checked.states, checked.inputs, request, SOURCE)
-        same = (
-            (f"that of experiment {number}", asked.content())
-            for number, (asked, each) in enumerate(self._answers, 1)
-            if np.array_equal(each.states, checked.states) and np.array_equal(each.inputs, checked.inputs)
-        )
-        refuse_copy(SOURCE, request.content(), same)
+        for number, (asked, each) in enumerate(self._answers, 1):
+            if np.array_equal(each.states, checked.states) and np.array_equal(each.inputs, checked.inputs):
+                before, now = asked.content(), request.content()
+                refuse_copy(SOURCE, now["policy"], [(f"that of experiment {number}", before["policy"])])
+                if before != now:  # a robot without noise may begin elsewhere than it was asked to
+                    logging.getLogger(__name__).warning(AGAIN, SOURCE, number)
         self._answers.append((request, checked))
         targets = getattr(request.policy, "targets", np.empty(0))
         self._told.append(beside(replace(checked, parameters=request.theta), targets))

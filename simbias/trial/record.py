@@ -183,8 +183,10 @@ class FolderRecord(Record):
         path = self._replayed(ITERATION)
         if path is None:
             if "search" in iteration.seconds:  # to replay it takes no time
-                search_seconds = iteration.seconds["search"] + self._searched
-                iteration = replace(iteration, seconds={**iteration.seconds, "search": search_seconds})
+                others = {name: s for name, s in iteration.seconds.items() if name != "search"}
+                searched = iteration.seconds["search"] + self._searched
+                told = {} if np.isnan(searched) else {"search": searched}
+                iteration = replace(iteration, seconds={**told, **others})
             summary = {**iteration_summary(self._study, iteration, earlier), "ended": time.time()}
             text = json.dumps(summary, indent=1, default=lambda value: value.tolist())  # NumPy's numbers
             self._keep(ITERATION, text.encode())

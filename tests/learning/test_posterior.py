@@ -62,7 +62,8 @@ def test_it_predicts_what_it_has_not_seen(study: Study, fitted: tuple[Identified
 def test_what_shorter_steps_move_is_told() -> None:
     """Of a robot with dry friction, by steps of 10 ms; not by steps of 1 ms.
 
-    Nothing is said of models that have the same frames whatever the task's are, or whole steps of 5 ms.
+    Nothing is said of models that have the same frames whatever the task's are, or whole steps of 5 ms;
+    nor where an earlier posterior is known.
     """
 
     def of_whole_steps(study: Study, task: Task) -> Nominal:
@@ -79,6 +80,8 @@ def test_what_shorter_steps_move_is_told() -> None:
         posterior: Any = study.identification
         given = posterior, posterior.fit(study.nominal, recording), recording, ()
         moved[step] = moved_by_shorter_steps(study.task, study.nominal_of, *given)
+        known = posterior.with_known(given[1].known), *given[1:]
+        assert not moved_by_shorter_steps(study.task, study.nominal_of, *known).any()
         for other in (partial(lambda made, _: made, study.nominal), partial(of_whole_steps, study)):
             assert not moved_by_shorter_steps(study.task, other, *given).any()
     assert moved[0.01].max() > 1.5 > 0.5 > moved[0.001].max()

@@ -280,7 +280,10 @@ def test_trials_that_all_raise_are_told_in_a_table(folder: Path, capsys: pytest.
 
 def test_bad_input_runs_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for key, overrides in {
-        "bias.d: must be greater than 0": ["+sweep=smoke", "+sweep.axes.x={keys: bias.d, values: [1, -1]}"],
+        "bias.d: must be greater than or equal to 0": [
+            "+sweep=smoke",
+            "+sweep.axes.x={keys: bias.d, values: [1, -1]}",
+        ],
         "engine.n_jobs: must be greater than 0": ["+sweep=smoke", "engine.n_jobs=0"],
         "method: searches on the hardware itself, but Manual is no simulator (in the cell ideal)": [
             "+sweep={trials: 1, axes: {method: [ideal]}}", "hardware=manual"

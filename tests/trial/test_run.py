@@ -204,7 +204,9 @@ def test_a_trial_that_is_told_is_the_one_that_runs(point_mass: Study) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("uncompiled")
-def test_what_is_wrong_is_told_and_the_question_stays_open(point_mass: Study) -> None:
+def test_what_is_wrong_is_told_and_the_question_stays_open(
+    point_mass: Study, caplog: pytest.LogCaptureFixture
+) -> None:
     with pytest.raises(ValueError, match=r"ask\(\) comes first"):
         point_mass.tell(Rollout(np.zeros((1, 2)), np.zeros((0, 1)), 0, "fell"))
     request = point_mass.ask()
@@ -217,9 +219,17 @@ def test_what_is_wrong_is_told_and_the_question_stays_open(point_mass: Study) ->
     assert point_mass.ask() is request
     point_mass.tell(whole)
     request = point_mass.ask()
+    answers = point_mass.ask_tell._answers
+    answers[0] = (
+        replace(answers[0][0], theta=request.theta + 1.0),
+        answers[0][1],
+    )  # as if it was of another policy
     with pytest.raises(HardwareError, match=r"^study\.tell: is what answers another request, that of exper"):
         point_mass.tell(whole)
     assert point_mass.ask() is request
+    answers[0] = replace(answers[0][0], theta=request.theta), answers[0][1]  # a robot without noise
+    point_mass.tell(whole)
+    assert "study.tell: is the rollout of experiment 1 again" in caplog.text
 
 
 @pytest.mark.parametrize("start", [np.array([0.1]), np.zeros(3), 0.1])

@@ -148,6 +148,11 @@ class Posterior(Identification):
         other._smoothing, other._differences = options["smoothing"], options["differences"]
         return other
 
+    @property
+    def begins_with_known(self) -> bool:
+        """Whether an earlier posterior is its prior."""
+        return self._known is not None
+
     def with_known(self, known: Known) -> Posterior:
         """A copy that begins with an earlier posterior."""
         other = copy(self)

@@ -49,7 +49,7 @@ def moved_by_shorter_steps(
     """How far (p,) the mode would move, in its standard deviations, to first order.
 
     Zeros of a model that cannot be made for shorter frames, or that remembers its last ones, or has steps of
-    its own, of which frames are no whole number.
+    its own, of which frames are no whole number; and where an earlier posterior is known.
     """
     still = np.zeros(len(fitted.parameters))
     try:
@@ -57,6 +57,8 @@ def moved_by_shorter_steps(
     except Exception:  # an own model may refuse
         return still
     if nominal.state_size or refined[0].parameters != nominal.parameters or fitted.errors is None:
+        return still
+    if posterior.begins_with_known:  # whose own precision is not at hand
         return still
     windows = posterior.windows(rollouts, recordings)
     coarse = Comparison(posterior.prior(nominal), windows)

@@ -213,7 +213,7 @@ class Declared(Task):
         self._success.check_at(np.append(np.full(len(names) - len(errors), np.nan), errors))
 
     def _measures(self, key: str, conditions: Mapping[str, Failure], names: Sequence[str]) -> Expressions:
-        """What is above the limit of each condition where it holds."""
+        """Measures that are above the limits of conditions where these hold."""
         known, each = {**self._known, "variables": names}, conditions.items()
         Expressions({f"{key}.{name}": condition.value for name, condition in each}, **known)  # or it raises
         signed = {f"{key}.{name}": measure_of(f"{key}.{name}", condition) for name, condition in each}

@@ -35,6 +35,7 @@ class Plan(NamedTuple):
     states: Array  # (T+1, n)
     inputs: Array  # (T, m)
     cost: float
+    held: Array | float = 0.0  # weights (c,) of squared criteria of failure, 1/s, for its gains
 
 
 class Following:
@@ -50,7 +51,7 @@ class Following:
         self.sliding = model.nominal.without_dry_friction()
         self.model = replace(model, nominal=self.sliding) if sliding else model
         self._off_goal = None if weights is None else weights.errors  # (g,)
-        self.held: Array | float = 0.0  # weights (c,) of squared criteria of failure, 1/s
+        self.held: Array | float = 0.0  # as of a plan
 
     def policies(self, plan: Plan, policy: Trajectory, input_weights: Sequence[float]) -> Iterator[Array]:
         """Parameters (p,) of the policy that follows a plan, for each weight of inputs at their limits.
@@ -61,7 +62,7 @@ class Following:
         Of a plan as joints slide, inputs compensate for the friction along it, and there are gains for small
         deviations from rest, which count on the friction of joints that no input moves.
         """
-        ahead, task = policy.frames_ahead, self._task
+        ahead, task, self.held = policy.frames_ahead, self._task, plan.held
         slopes = self._slopes_at_once if ahead else self.slopes
         M, Q = slopes(plan.states, plan.inputs), self._state_weights(plan.states)
         x, u = plan.states, np.concatenate([plan.inputs, plan.inputs[-1:]])

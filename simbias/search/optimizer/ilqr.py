@@ -149,42 +149,40 @@ class Shooting:
             return plan
         free = Shooting(replace(self._model, task=_unfailing(self._task)), self._goal_weights, self._sliding)
         other = free._from_rest()
-        held: Array | float = 0.0
         if other is not None and not _lasts(other, self._task):
-            other, held = free._kept_within(self._task)
-        if other is None or (plan is not None and plan.cost <= other.cost):
-            return plan
-        self.following.held = held
-        return other
+            other = free._kept_within(self._task)
+        if other is None or plan is None:
+            return plan or other
+        return min(plan, other, key=lambda each: each.cost)
 
     def _from_rest(self) -> Plan | None:
         """The trajectory at the end of steps from rest."""
         first = self._rest()
         return first and self._descended(first, FROM_REST, FROM_REST_PATIENCE)
 
-    def _kept_within(self, task: Task) -> tuple[Plan | None, Array | float]:
+    def _kept_within(self, task: Task) -> Plan | None:
         """A trajectory from rest that keeps away from the limits of a task's criteria, if it can.
 
-        It comes nearer to them only where that saves much. With it comes what squares of criteria weigh in
-        it, as `Following.held`.
+        It comes nearer to them only where that saves much.
         """
         first = self._rest()
         if first is None:
-            return None, 0.0
+            return None
         limits = np.array([criterion.limit for criterion in task.criteria])
-        self._spare = np.nan_to_num(limits - task.measure(task.start_mean), posinf=1.0)
+        left = limits - task.measure(task.start_mean)
+        self._spare = np.where(np.isfinite(left) & (left > 0), left, 1.0)  # where it has none, a unit
         weights, per_second = KEEPING * first.cost / task.horizon, self._spare**-2.0 / task.time_step
         if not _lasts(first, task):
             self.following.held = weights[0] * per_second
             first = self._rest() or first
-        best, held = None, 0.0 * per_second
+        best = None
         for margin in MARGINS:
-            self._inside = limits - margin * self._spare
+            self._inside = limits - margin * np.where(left > 0, self._spare, 0.0)
             begun, damping = (first, FROM_REST) if best is None else (best, 1.0)
             plan, weight = self._held(begun, damping, weights, task)
             if _lasts(plan, task) and (best is None or plan.cost < SAVED * best.cost):
-                best, held = plan, weight * per_second
-        return best, held
+                best = plan._replace(held=weight * per_second)
+        return best
 
     def _held(self, plan: Plan, damping: float, weights: Array, task: Task) -> tuple[Plan, float]:
         """The plan of the first of these weights of excesses that lets it last, or of the last; and it."""
