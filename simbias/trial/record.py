@@ -337,7 +337,7 @@ def _load_iteration(path: Path) -> tuple[tuple[Any, ...], dict[str, float], floa
 
 
 def _load_search(path: Path) -> tuple[Optimum, float]:
-    """The optimum that a search found, and the seconds that this took; nan if the file does not tell them."""
+    """The optimum that a search found, and the seconds that this took; nan if its file does not tell."""
     fields = {"seconds": np.nan, **read_json(path)}
     seconds = fields.pop("seconds")
     return Optimum(**{**fields, "parameters": np.array(fields["parameters"])}), seconds

@@ -148,7 +148,7 @@ def read_trial(study: Study, folder: Path) -> TrialRecord:
             record.summary,
             outcome=Outcome.RUNNING if is_locked(folder / LOCK) else Outcome.INTERRUPTED,
             ended=nan,
-            seconds=max(kept.folder.seconds(), spent),  # which is nan if a search does not tell its own
+            seconds=max(spent, kept.folder.seconds()),
             platforms=tuple(kept.folder.platforms()),
             processor="",
         )
