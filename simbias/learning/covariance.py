@@ -95,7 +95,7 @@ def hyperparameters(
     """
     r = len(task.states) + len(task.inputs)
     if noise_variance < FINEST * signal_variance:
-        raise ValueError(f"noise_variance: expected at least {FINEST:g} of signal_variance")
+        raise ValueError(f"noise_variance: expected at least {FINEST:g} times signal_variance")
     if input_scale is None:
         for each, limit in zip(task.inputs, task.input_limit.tolist(), strict=True):
             if not np.isfinite(limit):

@@ -178,8 +178,8 @@ def assess(
     everything = Part.of("all recordings", recordings)
     identified = fit(everything, everything.name)
     progress("in shorter steps")
-    where = everything.rollouts, everything.recordings
-    shorter = moved_by_shorter_steps(study.task, study.nominal_of, posterior, identified, *where)
+    models_of = study.task, study.nominal, study.nominal_of
+    shorter = moved_by_shorter_steps(*models_of, posterior, identified, *everything[1:])
     alone = [fit(part, f"{part.name} alone") for part in all_parts]
     by_window = [
         fit(everything, f"with windows of {factor * posterior.window:g} s", factor)

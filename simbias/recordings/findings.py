@@ -82,7 +82,7 @@ def findings(
             "recordings disagree" if disagree[i] else "",
             f"recordings disagree on {', '.join(shaken)}" if shaken and not disagree[i] else "",
             "depends on the window" if _moved(fitted, by_window, i) > DISAGREEMENT else "",
-            "depends on the model's step of integration" if shifts[i] > TOO_LONG else "",
+            "depends on the integration step" if shifts[i] > TOO_LONG else "",
         ]
         alone = tuple(each.estimates[i] for each in by_part)
         found.append(Finding(parameter, estimate, shrinkage, partners, alone, tuple(filter(None, doubts))))

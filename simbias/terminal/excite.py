@@ -21,8 +21,8 @@ from simbias.trial.study import Study
 SECONDS, TRAJECTORIES = 5.0, 200
 LOOKING = "looking for what tells most"
 COMES_BACK = (
-    "A parameter comes back if identify would trust it in most robots and its 90% intervals hold the truth, "
-    "of 10 at least 8: chance leaves fewer in 7 of 100 cases."
+    "A parameter comes back if identify would trust it in most robots, and at least 8 of 10 of its 90% "
+    "intervals hold the truth; by chance, fewer do in 7 of 100 cases."
 )
 LEAST, MOST = 0.01, 3600.0  # s of inputs
 

@@ -19,7 +19,7 @@ from simbias.lab.targets import beside
 from simbias.trial.replay import EndOfRecord, Record
 
 SOURCE = "study.tell"
-AGAIN = "simbias: %s: is the rollout of experiment %d again, though another start was asked for"
+AGAIN = "simbias: %s: got the rollout of experiment %d again, though another start was asked for"
 
 
 class AskTell:
@@ -63,7 +63,7 @@ class AskTell:
         for number, (asked, each) in enumerate(self._answers, 1):
             if np.array_equal(each.states, checked.states) and np.array_equal(each.inputs, checked.inputs):
                 before, now = asked.content(), request.content()
-                refuse_copy(SOURCE, now["policy"], [(f"that of experiment {number}", before["policy"])])
+                refuse_copy(SOURCE, now["policy"], f"that of experiment {number}", before["policy"])
                 if before != now:  # a robot without noise may begin elsewhere than it was asked to
                     logging.getLogger(__name__).warning(AGAIN, SOURCE, number)
         self._answers.append((request, checked))

@@ -182,11 +182,11 @@ class FolderRecord(Record):
         """The iteration that has ended after others; if it did before, as long and as predicted as then."""
         path = self._replayed(ITERATION)
         if path is None:
-            if "search" in iteration.seconds:  # to replay it takes no time
-                others = {name: s for name, s in iteration.seconds.items() if name != "search"}
-                searched = iteration.seconds["search"] + self._searched
-                told = {} if np.isnan(searched) else {"search": searched}
-                iteration = replace(iteration, seconds={**told, **others})
+            seconds = dict(iteration.seconds)
+            if "search" in seconds:
+                seconds["search"] += self._searched  # to replay it takes no time
+            told = {name: taken for name, taken in seconds.items() if not np.isnan(taken)}
+            iteration = replace(iteration, seconds=told)
             summary = {**iteration_summary(self._study, iteration, earlier), "ended": time.time()}
             text = json.dumps(summary, indent=1, default=lambda value: value.tolist())  # NumPy's numbers
             self._keep(ITERATION, text.encode())

@@ -233,7 +233,7 @@ class Study:
         ValueError
             If none was asked for.
         HardwareError
-            If the rollout breaks the contract, or answers another request; the question stays open.
+            If the rollout breaks the contract, or is that of another policy; the question stays open.
         """
         self.ask_tell.tell(rollout)
 

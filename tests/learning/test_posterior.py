@@ -79,11 +79,11 @@ def test_what_shorter_steps_move_is_told() -> None:
         study = prepared(pendulum(*quick, f"nominal.sub_step={step}"))
         posterior: Any = study.identification
         given = posterior, posterior.fit(study.nominal, recording), recording, ()
-        moved[step] = moved_by_shorter_steps(study.task, study.nominal_of, *given)
+        moved[step] = moved_by_shorter_steps(study.task, study.nominal, study.nominal_of, *given)
         known = posterior.with_known(given[1].known), *given[1:]
-        assert not moved_by_shorter_steps(study.task, study.nominal_of, *known).any()
+        assert not moved_by_shorter_steps(study.task, study.nominal, study.nominal_of, *known).any()
         for other in (partial(lambda made, _: made, study.nominal), partial(of_whole_steps, study)):
-            assert not moved_by_shorter_steps(study.task, other, *given).any()
+            assert not moved_by_shorter_steps(study.task, study.nominal, other, *given).any()
     assert moved[0.01].max() > 1.5 > 0.5 > moved[0.001].max()
 
 

@@ -229,7 +229,7 @@ def test_what_is_wrong_is_told_and_the_question_stays_open(
     assert point_mass.ask() is request
     answers[0] = replace(answers[0][0], theta=request.theta), answers[0][1]  # a robot without noise
     point_mass.tell(whole)
-    assert "study.tell: is the rollout of experiment 1 again" in caplog.text
+    assert "study.tell: got the rollout of experiment 1 again" in caplog.text
 
 
 @pytest.mark.parametrize("start", [np.array([0.1]), np.zeros(3), 0.1])

@@ -103,9 +103,10 @@ def mark_withdrawn(trajectory: Path, words: str) -> None:
 
 def refuse_copied_file(trajectory: Path) -> None:
     """Refuse the same file as the trajectory of another request; errors as of `refuse_copy`."""
-    own, all_of_them = trajectory.read_bytes(), trajectory.parent.parent.glob(f"*_*/{TRAJECTORY}")
-    same = (other for other in sorted(all_of_them) if other.read_bytes() == own)
-    refuse_copy(str(trajectory), _asked(trajectory), ((str(other), _asked(other)) for other in same))
+    own = trajectory.read_bytes()
+    for other in sorted(trajectory.parent.parent.glob(f"*_*/{TRAJECTORY}")):
+        if other.read_bytes() == own:
+            refuse_copy(str(trajectory), _asked(trajectory), str(other), _asked(other))
 
 
 def _asked(trajectory: Path) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -126,19 +126,16 @@ class ExperimentRequest:
         }
 
 
-def refuse_copy(
-    source: str, asked: Mapping[str, Any], others: Iterable[tuple[str, Mapping[str, Any]]]
-) -> None:
-    """Refuse an answer that is the same as those to others, if one asked for another policy or start.
+def refuse_copy(source: str, asked: Mapping[str, Any], other: str, content: Mapping[str, Any]) -> None:
+    """Refuse an answer that is the same as the other one, if that was asked for something else.
 
     Raises
     ------
     HardwareError
         In one line that names the other one.
     """
-    for other, content in others:
-        if content != asked:
-            raise HardwareError(f"{source}: is what answers another request, {other}")
+    if content != asked:
+        raise HardwareError(f"{source}: is what answers another request, {other}")
 
 
 def _named(quantities: Sequence[Quantity]) -> list[dict[str, Any]]:

@@ -69,16 +69,19 @@ class Comparison:
 
     def residuals(self, z: Array, differences: Differences = "forward") -> tuple[Array, Array]:
         """Residuals (w d,), whose squares sum to the loss, and their derivatives by z, (w d, p)."""
-        p = len(z)
-        white = self.errors.whiten(self.prediction_errors(_around(z, differences)))
-        J = _slopes(white, p)
-        weights = self.errors.independent_share * self.errors.weights(white[0])
-        losses = self.errors.independent_share * self.errors.losses(white[0])
-        size = np.sum(white[0] ** 2, axis=1)
+        white, J, weights = self._weighted(z, differences)
+        losses = self.errors.independent_share * self.errors.losses(white)
+        size = np.sum(white**2, axis=1)
         ratio = np.divide(losses, size, out=weights.copy(), where=size > 0)  # tends to the weights at 0
         scale = np.sqrt(ratio)
         slope = weights / scale
-        return (scale[:, None] * white[0]).ravel(), (slope[:, None] * J).reshape(p, -1).T
+        return (scale[:, None] * white).ravel(), (slope[:, None] * J).reshape(len(z), -1).T
+
+    def _weighted(self, z: Array, differences: Differences) -> tuple[Array, Array, Array]:
+        """White errors (w, d), their derivatives by z (p, w, d), and the weights (w,) of windows."""
+        white = self.errors.whiten(self.prediction_errors(_around(z, differences)))
+        weights = self.errors.independent_share * self.errors.weights(white[0])
+        return white[0], _slopes(white, len(z)), weights
 
     def scatter(self, z: Array, differences: Differences) -> Callable[[Array], Array]:
         """By a root (p, p) of the covariance of z: one (p, w d) of that which errors give to the gradient."""
@@ -113,9 +116,7 @@ class Comparison:
 
     def shift(self, z: Array, difference: Array) -> Array:
         """How far (p,) the mode z moves, to first order, if predictions differ by so much (w, J, n)."""
-        white = self.errors.whiten(self.prediction_errors(_around(z, "central")))
-        weights = self.errors.independent_share * self.errors.weights(white[0])
-        J = _slopes(white, len(z))  # (p, w, d)
+        _, J, weights = self._weighted(z, "central")
         weighted = (weights[:, None] * J).reshape(len(z), -1)
         precision = weighted @ J.reshape(len(z), -1).T + np.eye(len(z))
         return np.asarray(-np.linalg.solve(precision, weighted @ self.errors.whiten(difference).ravel()))

@@ -40,6 +40,7 @@ class Refined(Nominal):
 
 def moved_by_shorter_steps(
     task: Task,
+    nominal: Nominal,
     nominal_of: Callable[[Task], Nominal],
     posterior: Posterior,
     fitted: Identified,
@@ -52,32 +53,30 @@ def moved_by_shorter_steps(
     its own, of which frames are no whole number; and where an earlier posterior is known.
     """
     still = np.zeros(len(fitted.parameters))
+    # The precision of an earlier posterior is not at hand.
+    if nominal.state_size or fitted.errors is None or posterior.begins_with_known:
+        return still
     try:
-        nominal, *refined = (_refined(nominal_of, task, steps) for steps in (1, SHORTER, SHORTEST))
+        refined = [_refined(nominal_of, task, steps) for steps in (SHORTER, SHORTEST)]
     except Exception:  # an own model may refuse
         return still
-    if nominal.state_size or refined[0].parameters != nominal.parameters or fitted.errors is None:
-        return still
-    if posterior.begins_with_known:  # whose own precision is not at hand
+    if refined[0].parameters != nominal.parameters:
         return still
     windows = posterior.windows(rollouts, recordings)
     coarse = Comparison(posterior.prior(nominal), windows)
     coarse.errors = fitted.errors
     z = coarse.coordinates(fitted)
-    # Once: to compile them would take longer.
-    fine = [
-        Comparison(posterior.prior(each), windows, plain).prediction_errors(z[None])[0] for each in refined
-    ]
-    shorter, shortest = (each - coarse.prediction_errors(z[None])[0] for each in fine)
+    # In NumPy: they predict once, and to compile them would take longer.
+    fine = [Comparison(posterior.prior(each), windows, plain) for each in refined]
+    errors, *others = (each.prediction_errors(z[None])[0] for each in (coarse, *fine))
+    shorter, shortest = (each - errors for each in others)
     if np.linalg.norm(shortest - shorter) > AGREE * np.linalg.norm(shortest):
         return still
     return np.abs(coarse.shift(z, shortest)[: len(still)]) / np.sqrt(np.diag(fitted.covariance))
 
 
-def _refined(nominal_of: Callable[[Task], Nominal], task: Task, steps: int) -> Nominal:
+def _refined(nominal_of: Callable[[Task], Nominal], task: Task, steps: int) -> Refined:
     """The model in so many steps of a frame."""
-    if steps == 1:
-        return nominal_of(task)
     shorter = copy(task)
     shorter.time_step = task.time_step / steps
     return Refined(nominal_of(shorter), steps)

@@ -42,7 +42,7 @@ class Following:
     """Policies that follow plans of a model, as it is or as its joints slide, and the model's slopes there.
 
     Deviations weigh what the cost says of the goal's errors or, if it is not quadratic, 1 in each state's
-    unit; also, along a plan that failed where nothing held it, what its criteria say.
+    unit; along a plan that holds criteria of failure, also what these say.
     """
 
     def __init__(self, model: Model, weights: GoalWeights | None = None, sliding: bool = False) -> None:
@@ -51,7 +51,6 @@ class Following:
         self.sliding = model.nominal.without_dry_friction()
         self.model = replace(model, nominal=self.sliding) if sliding else model
         self._off_goal = None if weights is None else weights.errors  # (g,)
-        self.held: Array | float = 0.0  # as of a plan
 
     def policies(self, plan: Plan, policy: Trajectory, input_weights: Sequence[float]) -> Iterator[Array]:
         """Parameters (p,) of the policy that follows a plan, for each weight of inputs at their limits.
@@ -62,9 +61,9 @@ class Following:
         Of a plan as joints slide, inputs compensate for the friction along it, and there are gains for small
         deviations from rest, which count on the friction of joints that no input moves.
         """
-        ahead, task, self.held = policy.frames_ahead, self._task, plan.held
+        ahead, task = policy.frames_ahead, self._task
         slopes = self._slopes_at_once if ahead else self.slopes
-        M, Q = slopes(plan.states, plan.inputs), self._state_weights(plan.states)
+        M, Q = slopes(plan.states, plan.inputs), self._state_weights(plan.states, plan.held)
         x, u = plan.states, np.concatenate([plan.inputs, plan.inputs[-1:]])
         final, settled = None, len(x)
         goal = goal_along(task)
@@ -87,9 +86,9 @@ class Following:
             K, K_0 = (_at(frames + ahead, each.reshape(len(x), -1)) for each in (gains, beside))
             yield policy.following(_at(frames + ahead, x), _at(frames, u), K, K_0)
 
-    def gains(self, states: Array, inputs: Array, weight: float) -> Array:
+    def gains(self, states: Array, inputs: Array, weight: float, held: Array | float = 0.0) -> Array:
         """K_t (T+1, m, n) along states (T+1, n) and inputs (T, m) that begin and end anywhere."""
-        return self._gains(self.slopes(states, inputs), self._state_weights(states), weight, None)
+        return self._gains(self.slopes(states, inputs), self._state_weights(states, held), weight, None)
 
     def goal_slopes(self, states: Array) -> Array:
         """Derivatives (T+1, g, n) of the goal's quantities along states (T+1, n)."""
@@ -147,15 +146,15 @@ class Following:
             share, above = (middle, above) if fits else (share, middle)
         return regulated(share) - soft
 
-    def _state_weights(self, states: Array) -> Array:
-        """Weights (T+1, n, n) of deviations from states (T+1, n), for gains."""
+    def _state_weights(self, states: Array, held: Array | float) -> Array:
+        """Weights (T+1, n, n) of deviations from states (T+1, n), for gains; criteria as in a plan."""
         if self._off_goal is None:
             return np.tile(np.eye(self._n), (len(states), 1, 1))
         G = self.goal_slopes(states)
         Q = np.einsum("g,tgi,tgj->tij", self._off_goal, G, G)
-        if np.any(self.held):
+        if np.any(held):
             C = derivatives(self._task.measure, states, np.full(self._n, STEP))
-            Q += np.einsum("c,tci,tcj->tij", self.held, C, C)
+            Q += np.einsum("c,tci,tcj->tij", held, C, C)
         return Q
 
     def _gains(self, M: Array, Q: Array, weight: float, final: Array | None) -> Array:

@@ -8,10 +8,11 @@ with a knot in every frame, so that limits, delays and failures are the model's.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from copy import copy
 from dataclasses import replace
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -109,6 +110,19 @@ def _unfailing(task: Task) -> Task:
     return other
 
 
+class Keeping(NamedTuple):
+    """The cost of a plan that comes near to limits of failure."""
+
+    measure: Callable[[Array], Array]  # of states: measures (..., c) of the criteria
+    weight: float  # of squared excesses
+    inside: Array  # (c,) measures that are near to the limits
+    spare: Array  # (c,) units of what exceeds them
+
+    def excess(self, states: Array) -> Array:
+        """How far (..., c) states (..., n) are beyond what is near to limits."""
+        return np.maximum(self.measure(states) - self.inside, 0.0) / self.spare
+
+
 def _lasts(plan: Plan, task: Task) -> bool:
     """Whether a plan violates no criterion of a task."""
     return bool((task.violated(plan.states[1:]) < 0).all())
@@ -122,7 +136,7 @@ class Shooting:
         self.following = Following(model, weights, sliding)
         self._task, self._model, self._goal_weights, self._sliding = task, model, weights, sliding
         self._failed = False  # whether a rollout has
-        self._keeping = 0.0  # weight of squared excesses
+        self._keeping: Keeping | None = None
         self._frictionless = replace(model, nominal=self.following.sliding)
         self._n, self._m, self._T = len(task.states), len(task.inputs), task.horizon
         self._every_frame = Trajectory(task, model.nominal, task.horizon + 1)
@@ -170,33 +184,25 @@ class Shooting:
             return None
         limits = np.array([criterion.limit for criterion in task.criteria])
         left = limits - task.measure(task.start_mean)
-        self._spare = np.where(np.isfinite(left) & (left > 0), left, 1.0)  # where it has none, a unit
-        weights, per_second = KEEPING * first.cost / task.horizon, self._spare**-2.0 / task.time_step
+        spare = np.where(np.isfinite(left) & (left > 0), left, 1.0)  # where it has none, a unit
+        weights, per_second = KEEPING * first.cost / task.horizon, spare**-2.0 / task.time_step
         if not _lasts(first, task):
-            self.following.held = weights[0] * per_second
-            first = self._rest() or first
+            first = self._rest(weights[0] * per_second) or first
         best = None
         for margin in MARGINS:
-            self._inside = limits - margin * np.where(left > 0, self._spare, 0.0)
-            begun, damping = (first, FROM_REST) if best is None else (best, 1.0)
-            plan, weight = self._held(begun, damping, weights, task)
+            inside = limits - margin * np.where(left > 0, spare, 0.0)
+            plan, damping = (first, FROM_REST) if best is None else (best, 1.0)
+            for weight in weights.tolist():
+                self._keeping = Keeping(task.measure, weight, inside, spare)
+                plan = self._descended(self._judged(plan.states, plan.inputs), damping, PATIENCE)
+                damping = 1.0
+                if _lasts(plan, task):
+                    break
+            self._keeping = None
+            plan = self._judged(plan.states, plan.inputs)
             if _lasts(plan, task) and (best is None or plan.cost < SAVED * best.cost):
                 best = plan._replace(held=weight * per_second)
         return best
-
-    def _held(self, plan: Plan, damping: float, weights: Array, task: Task) -> tuple[Plan, float]:
-        """The plan of the first of these weights of excesses that lets it last, or of the last; and it."""
-        for self._keeping in weights.tolist():
-            plan = self._descended(self._judged(plan.states, plan.inputs), damping, PATIENCE)
-            damping = 1.0
-            if _lasts(plan, task):
-                break
-        weight, self._keeping = self._keeping, 0.0
-        return self._judged(plan.states, plan.inputs), weight
-
-    def _excess(self, states: Array) -> Array:
-        """How far (..., c) states (..., n) are beyond what is near to limits, in what the start has left."""
-        return np.maximum(self._task.measure(states) - self._inside, 0.0) / self._spare
 
     def _descended(self, best: Plan, damping: float, patience: int) -> Plan:
         """The trajectory at the end of steps that each cost less, the first of which has this damping."""
@@ -219,11 +225,11 @@ class Shooting:
         states = np.tile(self._task.start_mean, (self._T + 1, 1))
         return self._best(states, SHORTER[:, None, None] * inputs, np.zeros((self._T, self._m, self._n)))
 
-    def _rest(self) -> Plan | None:
-        """The start, or the rest that is nearest to it, held by a soft regulator."""
+    def _rest(self, held: Array | float = 0.0) -> Plan | None:
+        """The start, or the rest that is nearest to it, held by a soft regulator; criteria as in a plan."""
         x, u = rest(self._frictionless, self._task.start_mean)
         states, inputs = np.tile(x, (self._T + 1, 1)), np.tile(u, (self._T, 1))
-        K = self.following.gains(states, inputs, GAIN_WEIGHTS[-1])
+        K = self.following.gains(states, inputs, GAIN_WEIGHTS[-1], held)
         return self._best(states, inputs[None], K[:-1])
 
     def _improved(self, plan: Plan, damping: float) -> Plan | None:
@@ -235,10 +241,10 @@ class Shooting:
         e = task.aim(plan.states) - self._goal
         slope = np.pad(np.einsum("tg,tgn->tn", weights * e, G), ((0, 0), hidden))
         curvature = np.pad(np.einsum("tg,tgi,tgj->tij", weights, G, G), ((0, 0), hidden, hidden))
-        if self._keeping:
-            E = derivatives(self._excess, plan.states, np.full(self._n, STEP))
-            slope[:, : self._n] += self._keeping * np.einsum("tc,tcn->tn", self._excess(plan.states), E)
-            curvature[:, : self._n, : self._n] += self._keeping * np.einsum("tci,tcj->tij", E, E)
+        if keeping := self._keeping:
+            E = derivatives(keeping.excess, plan.states, np.full(self._n, STEP))
+            slope[:, : self._n] += keeping.weight * np.einsum("tc,tcn->tn", keeping.excess(plan.states), E)
+            curvature[:, : self._n, : self._n] += keeping.weight * np.einsum("tci,tcj->tij", E, E)
         W = beside(curvature[:-1], np.diag(self._input_weights))
         w = np.concatenate([slope[:-1], self._input_weights * plan.inputs], axis=1)
         room = tuple(SHARE * limits - plan.inputs for limits in task.input_bounds)
@@ -269,6 +275,6 @@ class Shooting:
         """A plan, with half the weighted squares of errors, of inputs, and of what is near to limits."""
         e = self._task.aim(states) - self._goal
         cost = np.sum(self._weights * e**2) + np.sum(self._input_weights * inputs**2)
-        if self._keeping:
-            cost += self._keeping * np.sum(self._excess(states) ** 2)
+        if keeping := self._keeping:
+            cost += keeping.weight * np.sum(keeping.excess(states) ** 2)
         return Plan(states, inputs, 0.5 * float(cost))
