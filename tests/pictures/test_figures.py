@@ -93,9 +93,11 @@ def test_costs_are_those_of_the_records(short: Study, trial: list[Iteration]) ->
     assert [list(data[:, 1]) for data in lines(by_iteration, SIMULATION, "o")] == models
     bars = [data for data in lines(by_iteration, SIMULATION) if len(data) == 2]
     assert [bar[0, 1] for bar in bars] == [iteration.search.predicted_cost for iteration in trial]
-    for index, (xs, ys) in enumerate(zip(models, measured, strict=True)):
-        (data,) = lines(pairs, HARDWARE, f"${index}$")  # in place of dots, which labels would overlap
+    for data, xs, ys in zip(lines(pairs, HARDWARE, "o"), models, measured, strict=True):
         np.testing.assert_array_equal(data, np.column_stack([xs, ys]))
+    brightness = [np.mean(line.get_markerfacecolor()) for line in pairs.lines[: len(trial)]]
+    assert brightness == sorted(brightness, reverse=True)
+    assert brightness[0] > 1.5 * brightness[-1]
     searched, searchless = (
         texts(costs(short, each)) for each in (trial, [replace(one, search=None) for one in trial])
     )

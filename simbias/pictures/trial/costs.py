@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
@@ -27,6 +28,7 @@ from simbias.trial.study import Study
 
 HEIGHT = 2.6  # in, of a panel
 ASIDE = 0.16  # iterations, between experiments of one iteration
+PALEST = 0.9  # share of white in the face of the first iteration's pairs
 SEARCHED = "predicted by the search, from its own starts"
 LEGEND = {
     SEARCHED: Line2D([], [], color=SIMULATION, linewidth=2.5),
@@ -43,9 +45,9 @@ def costs(study: Study, iterations: Sequence[Iteration]) -> Figure:
 
     At the left, by iteration: the prediction that the policy was chosen by, each hardware experiment's cost,
     and, joined to it, that of its policy from the same start in the simulation of the iteration's search.
-    At the right, these pairs, each drawn as the number of its iteration; what lies above the diagonal is
-    dearer than simulated. Z_max parts what works from what fails; shaded is what is below it in simulation
-    and above it on hardware. Where the task itself says what succeeds, crosses are experiments that did not.
+    At the right, these pairs, those of later iterations darker; one above the diagonal costs more than
+    simulated. Z_max parts what works from what fails; shaded is what is below it in simulation and above it
+    on hardware. Where the task itself says what succeeds, crosses are experiments that did not.
 
     Raises
     ------
@@ -70,9 +72,9 @@ def costs(study: Study, iterations: Sequence[Iteration]) -> Figure:
         if models:
             by_iteration.vlines(at, models, measured, color="0.7", linewidth=0.8, zorder=1)
             by_iteration.plot(at, models, "o", color=SIMULATION, markerfacecolor="none", zorder=4)
-            digits = str(iteration.index)
-            thin = {"markersize": 6 * len(digits), "markeredgewidth": 0.3, "linestyle": ""}
-            pairs.plot(models, measured, marker=f"${digits}$", color=HARDWARE, **thin)
+            age = (iterations[-1].index - iteration.index) / max(1, iterations[-1].index)
+            face = 1 - (1 - PALEST * age) * (1 - np.array(to_rgb(HARDWARE)))
+            pairs.plot(models, measured, "o", color=HARDWARE, markerfacecolor=face, markeredgewidth=0.5)
         values += measured + models
     logarithmic_if_wide(values, by_iteration.yaxis, pairs.xaxis, pairs.yaxis)
     by_iteration.set_xlim(-0.5, max(iteration.index for iteration in iterations) + 0.5)
@@ -81,7 +83,7 @@ def costs(study: Study, iterations: Sequence[Iteration]) -> Figure:
     shade_beyond(by_iteration, limit, r"limit $Z_{\max}$")
     _divide(pairs, limit)
     headline(by_iteration, "Predicted and measured cost of each policy")
-    headline(pairs, "Each experiment, by its iteration's number")
+    headline(pairs, "Each experiment: darker ones are later")
     for axes in (by_iteration, pairs):
         plain(axes)
     searched = any(iteration.search is not None for iteration in iterations)

@@ -43,7 +43,7 @@ from simbias.pictures.trial.snapshots import draw_strip
 from simbias.trial.study import Study
 
 COLUMNS = 6  # of snapshots
-PANEL, LABELS = 1.25, 1.05  # in, heights of a panel, and of what is written above and below it
+PANEL, LABELS = 1.25, 1.4  # in, heights of a panel, and of what is written above and below it
 SNAPSHOT = 1.02  # in, width
 PAD = 0.08  # in, above and below
 WIDTHS = (4.0, 1.0)  # of the policies, and of the costs
@@ -159,8 +159,7 @@ def _draw_measure(
     shade_beyond(axes, measure.limit, measure.limit_label, "left")  # a rollout begins far from it
     beside = measure.limit if np.isfinite(measure.limit) else values[-1]
     _name_failure(axes, study, rollouts[-1].rollout, beside)
-    above = axes.legend(loc="best", bbox_to_anchor=(0.0, 0.0, 1.0, 0.8), framealpha=0.8, fontsize=SMALL)
-    above.get_frame().set_linewidth(0.0)  # its words can be read where a curve passes below
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.1, frameon=False, fontsize=SMALL)
     plain(axes)
 
 
@@ -176,6 +175,7 @@ def _name_failure(axes: Axes, study: Study, rollout: Rollout, beside: float) -> 
             ha="right" if late else "left",
             color=HARDWARE,
             fontsize=SMALL,
+            zorder=4,
         )
 
 
