@@ -137,8 +137,7 @@ class Variations:
         self, split: _Split, settings: Mapping[str, Any], grid: bool
     ) -> tuple[DictConfig, Mapping[str, str]]:
         """The config, interpolations not yet resolved, and the choices of groups."""
-        files = state(self._read)
-        by_hydra = partial(composed, config_dir=self._config_dir, grid=grid, files=files)
+        by_hydra = partial(composed, config_dir=self._config_dir, grid=grid, files=self._files)
         groups = by_hydra(tuple(split.structure)).choices if settings else {}
         options = [f"{key}={value}" for key, value in settings.items() if key in groups]
         whole = by_hydra((*split.structure, *options))
@@ -171,6 +170,11 @@ class Variations:
             plain |= validate({"seed": plain["seed"]}, {"seed": Seed}, "")
         chosen = {group: option for group, option in choices.items() if group not in left_out}
         return Composition(plain, chosen, own(plain, self._folders, self._allowed), from_environment)
+
+    @cached_property
+    def _files(self) -> frozenset:
+        """The state of all that Hydra reads."""
+        return state(self._read)
 
     @cached_property
     def _grid(self) -> DictConfig | None:
