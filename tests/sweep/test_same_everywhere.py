@@ -1,14 +1,11 @@
 """A trial has the same bits wherever it runs on one kind of machine; on another kind, it says so."""
 
 import hashlib
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
-from conftest import PYTHONPATH
 from sweeping import content
+from threadpoolctl import threadpool_limits
 
 from simbias.config import compose
 from simbias.engine.contract import Engine
@@ -29,7 +26,6 @@ TRIALS = [  # what learns, searches and samples differently
         *("identification.starts=2", "identification.rounds=1"),
     ],
 ]
-ELSEWHERE = "from test_same_everywhere import *; print(*digests(Sequential(), Path(sys.argv[1])))"
 
 
 def digests(engine: Engine, folder: Path, backwards: bool = False) -> list[str]:
@@ -42,28 +38,13 @@ def digests(engine: Engine, folder: Path, backwards: bool = False) -> list[str]:
     return [hashlib.sha256(repr(content(Path(str(plan.folder)))).encode()).hexdigest() for plan in plans]
 
 
-@pytest.fixture(scope="module")
-def expected(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    found = digests(Sequential(), tmp_path_factory.mktemp("here"))
-    assert len(set(found)) == len(TRIALS)
-    return found
-
-
-def test_engines_and_jobs_change_no_bit(expected: list[str], tmp_path: Path) -> None:
-    """Nor does the order: they run backwards here. Dask's are in `tests/engine/test_sweeps.py`."""
+def test_no_engine_job_order_hash_seed_or_thread_changes_a_bit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Workers run them backwards, with another hash seed. Dask's are in `tests/engine/test_sweeps.py`."""
+    expected = digests(Sequential(), tmp_path / "here")
+    assert len(set(expected)) == len(TRIALS)
+    with threadpool_limits(4, user_api="blas"):
+        assert digests(Sequential(), tmp_path / "threads") == expected
+    monkeypatch.setenv("PYTHONHASHSEED", "2015")
     assert digests(Loky(n_jobs=2), tmp_path / "loky", backwards=True) == expected
-
-
-def test_hash_seeds_and_threads_change_no_bit(expected: list[str], tmp_path: Path) -> None:
-    """Here linear algebra has one thread, and here and in the workers above hash seeds are random."""
-    threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "4")
-    path = {"PYTHONPATH": f"{PYTHONPATH}:{Path(__file__).parent}", "PYTHONHASHSEED": "2015"}
-    made = subprocess.run(
-        [sys.executable, "-c", ELSEWHERE, str(tmp_path)],
-        env=os.environ | path | threads,
-        stdout=subprocess.PIPE,
-        text=True,
-        timeout=120,
-        check=True,
-    )
-    assert made.stdout.split() == expected
