@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
@@ -35,7 +34,7 @@ def swept(sweep: Sweep, rows: list[dict[str, Any]], load: Any = None) -> SweptTr
 
 def assert_nothing_is_cut(figure: Figure) -> None:
     """The legend is inside of the figure, above all axes."""
-    FigureCanvasAgg(figure).draw()
+    figure.draw_without_rendering()
     (legend,) = figure.legends
     box, whole = legend.get_window_extent(), figure.bbox
     assert whole.x0 <= box.x0 < box.x1 <= whole.x1
@@ -151,7 +150,7 @@ def test_labels_may_be_long_and_cells_alike_when_joined() -> None:
     last = LastPolicies().draw(trials, ())
     assert "nine in ten trials do in 6 of 6 cells" in last.caption
     for picture in (last, Experiments().draw(trials, ()), Comparison("a").draw(trials, ())):
-        FigureCanvasAgg(picture.figure).draw()
+        picture.figure.draw_without_rendering()
         boxes = [axes.get_tightbbox() for axes in picture.figure.axes]  # with their labels
         assert all(box and box.x0 >= 0 and box.x1 <= picture.figure.bbox.width for box in boxes)
     with pytest.raises(FigureError, match="no trial of the sweep ran to an end"):
