@@ -77,7 +77,7 @@ def test_a_working_folder_that_is_moved_takes_the_trial_along(
     assert len(caplog.records) == 1
 
 
-def test_a_store_that_was_moved_is_one_line(folder: Path, hasty: Study) -> None:
+def test_a_store_that_was_moved_is_one_line(folder: Path, new_store: Path, hasty: Study) -> None:
     """MLflow keeps absolute addresses; from the trials it is made again."""
     trial, there = folder / "trials" / hasty.hash, folder.parent / "there"
     run_trial(hasty, trial)
@@ -88,4 +88,5 @@ def test_a_store_that_was_moved_is_one_line(folder: Path, hasty: Study) -> None:
     with pytest.raises(ConfigError, match=copied):
         list(moved.export_all())
     assert left(folder) == set()
+    shutil.copy(new_store, there / "another.db")
     assert list(Mlflow(f"sqlite:///{there}/another.db").export_all()) == ["1 trial in no sweep"]
