@@ -48,6 +48,12 @@ pytestmark = pytest.mark.slow
 SMOKE = ["+sweep=smoke", *QUICK, *FOLDERS, "engine=sequential"]
 
 
+@pytest.fixture
+def unpainted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures without their pictures, which take half a second: `test_sweeps.py` looks at these."""
+    monkeypatch.setattr("simbias.sweep.figure.save", lambda _, path: path.touch())
+
+
 def test_the_folder_tells_everything(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     noise = "sweep.axes.noise.values=[[0.0,0.0,0.0],[0.1,0.0,0.0]]"
     command = ["+sweep=table2", "sweep.trials=1", *QUICK, noise, "engine=sequential", *FOLDERS]
@@ -100,6 +106,7 @@ def test_a_notebook_adds_trials_without_a_terminal(folder: Path, capsys: pytest.
         simbias.run_sweep(["bias=none"])
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_a_part_of_a_sweep_leaves_its_record_and_others_say_what_it_loses(
     folder: Path, caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -196,6 +203,7 @@ def test_a_folder_that_somebody_damaged_is_named(
     pd.testing.assert_frame_equal(again.drop(columns="seconds"), trials.drop(columns="seconds"))
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_a_sweep_of_tested_policies_needs_no_tests_any_more_and_others_are_told(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -223,6 +231,7 @@ def test_a_folder_that_is_moved_while_its_sweep_runs_stops_it(folder: Path, move
     assert not (folder / moved).exists()
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_figures_stay_while_a_sweep_grows_and_once_it_is_interrupted(folder: Path) -> None:
     class Interrupting(SweepObserver):
         def ended(self, trial: Trial, result: Result) -> None:
@@ -369,25 +378,6 @@ def histories(folder: Path) -> dict[tuple[str, str], list[Any]]:
     }
 
 
-def test_a_finished_sweep_started_again_adds_nothing_to_its_store(
-    folder: Path, store: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    quick = [*QUICK, "sweep.trials=1", "engine=sequential", "tracking.pictures=false"]
-    command = ["+sweep=smoke", *quick, store]
-    assert main(command) == 0
-    (parent,), trials = runs(folder)
-    assert parent.info.status == "FINISHED"
-    assert len(trials) == 2
-    assert parent.data.metrics["trials/succeeded"] == 2
-    before = histories(folder)
-    assert all(len(values) == len({step for step, _ in values}) for values in before.values())
-    monkeypatch.setattr(MlflowClient, "log_artifacts", upload := Mock())
-    assert main(command) == 0
-    assert upload.mock_calls == []
-    assert histories(folder) == before
-    assert runs(folder)[0][0].info.end_time == parent.info.end_time
-
-
 def test_a_trial_that_waits_has_one_run(folder: Path, store: str) -> None:
     """Figures wait, too: of trials that have not ended there may be none."""
     figures = "{costs: {_target_: simbias.sweep.figures.costs.Costs}}"
@@ -400,36 +390,47 @@ def test_a_trial_that_waits_has_one_run(folder: Path, store: str) -> None:
     assert state(folder)["verdict"].startswith("**Waiting**")
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_a_sweep_that_was_relabelled_is_shown_as_it_is_now_and_a_part_of_it_whole(
-    folder: Path, store: str, capsys: pytest.CaptureFixture[str]
+    folder: Path, store: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A figure that is not of it any more keeps its file."""
+    """A figure that is not of it any more keeps its file; started again, it adds nothing to its store."""
     figures = "experiments: {_target_: simbias.sweep.figures.experiments.Experiments}"
     axis = "error: {keys: hardware.inertia_error, values: [0.0, 0.2], labels: [none, some]}"
     whole = f"sweep: {{trials: 1, axes: {{{axis}}}, figures: {{{figures}}}}}"
     part = whole.replace("[0.0, 0.2]", "[0.20]").replace("[none, some]", "[more]").replace(figures, "")
     other = whole.replace("some", "more").replace(figures, "")
     command = ["--config-dir", "conf", "+sweep=mine", *QUICK, "engine=sequential", store]
+    command.append("tracking.pictures=false")
     for text, label in ((whole, "some"), (part, "some"), (other, "more")):
         write_sweep(folder, "mine", text)
-        assert main([*command, "tracking.pictures=false"]) == 0
+        assert main(command) == 0
         (parent,), trials = runs(folder)
-        assert parent.data.metrics["trials/succeeded"] == 2
+        assert (parent.info.status, parent.data.metrics["trials/succeeded"]) == ("FINISHED", 2)
         assert "2 of 2 [trials]" in parent.data.tags["mlflow.note.content"]
         assert {(run.info.run_name, run.data.tags["axis.error"]) for run in trials} == {
             ("none #0", "none"), (f"{label} #0", label),
         }  # fmt: skip
         assert ("experiments.png" in parent.data.tags["mlflow.note.content"]) == (label == "some")
+        if text == whole:
+            before = histories(folder)
+            assert all(len(values) == len(dict(values)) for values in before.values())
+            with monkeypatch.context() as patch:
+                patch.setattr(MlflowClient, "log_artifacts", upload := Mock())
+                assert main(command) == 0
+            assert upload.mock_calls == []
+            assert histories(folder) == before
+            assert runs(folder)[0][0].info.end_time == parent.info.end_time
     assert list((sweep_folder(folder) / "figures").iterdir())
     assert SweepFolder(sweep_folder(folder)).figures() == []
     before = histories(folder)
     write_sweep(folder, "mine", other.replace("more", "most"))
-    assert main([*command, "tracking.pictures=false"]) == 0
+    assert main(command) == 0
     assert histories(folder) == before
     config = Path(client_of(folder).download_artifacts(parent.info.run_id, "sweep.yaml"))
     assert "most" in config.read_text()
     write_sweep(folder, "mine", whole)
-    assert main([*command, "tracking.pictures=false"]) == 0
+    assert main(command) == 0
     assert {run.info.run_id for run in runs(folder)[1]} == {run.info.run_id for run in trials}
     meanless = {**state(folder), "mean_experiments": None}  # as of trials with errors alone
     SweepFolder(sweep_folder(folder)).write_state(meanless)
