@@ -4,7 +4,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from in_numpy import simulate_in_numpy
 
 import simbias
 from simbias.__main__ import main
@@ -33,7 +32,6 @@ def test_a_new_robot_keeps_its_contracts_and_learns(
         assert checked == 0, out + err
         assert "hardware arm, nominal arm, task arm: all checks hold." in out
         assert "was not tried" not in out
-        simulate_in_numpy(monkeypatch)  # from here on
         ran = main([*commands[2], "tracking=none"])
         out, err = capsys.readouterr()
         assert ran == 0, out + err
