@@ -7,7 +7,7 @@ import inspect
 import re
 from collections.abc import Collection, Mapping, Sequence
 from difflib import get_close_matches
-from functools import cache, lru_cache
+from functools import cache
 from typing import Any, NotRequired, Required, get_type_hints
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
@@ -112,22 +112,27 @@ def _schema(component: Any, provided: frozenset[str]) -> TypeAdapter:
         for name, parameter in constructor_parameters(component).items()
         if name not in provided
     }
-    return _adapter(tuple(fields.items()))
+    return _adapter(fields)
 
 
-@lru_cache(maxsize=1000)
-def _adapter(fields: tuple[tuple[str, Any], ...]) -> TypeAdapter:
-    """The schema of a mapping with these fields; to make one takes longer than to use it."""
-    schema = TypedDict("schema", dict(fields))  # type: ignore[misc]
+def _adapter(fields: dict[str, Any]) -> TypeAdapter:
+    """The schema of a mapping with these fields."""
+    schema = TypedDict("schema", fields)  # type: ignore[misc]
     schema.__pydantic_config__ = ConfigDict(  # type: ignore[attr-defined]
         extra="forbid", arbitrary_types_allowed=True, allow_inf_nan=False
     )
     return TypeAdapter(schema)
 
 
+@cache
+def _own_adapter(fields: tuple[tuple[str, Any], ...]) -> TypeAdapter:
+    """The schema of fields of ours; to make one takes longer than to use it."""
+    return _adapter(dict(fields))
+
+
 def validate(values: Mapping[str, Any], fields: dict[str, Any], key: str) -> dict[str, Any]:
     """The values converted to the fields' types, or a ConfigError that names `key` and the field."""
-    return _converted(values, _adapter(tuple(fields.items())), key, fields)
+    return _converted(values, _own_adapter(tuple(fields.items())), key, fields)
 
 
 def _converted(

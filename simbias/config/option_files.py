@@ -6,7 +6,6 @@ Else parsing them again takes a third of a composition's time, and a map of all 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
@@ -65,8 +64,8 @@ def register() -> None:
         Plugins.instance().register(each)
     collect = defaults_list._create_interpolation_map
 
-    def where_needed(overrides: Any, defaults: Sequence[Any], self_added: bool) -> Any:
+    def where_needed(overrides: Any, defaults: list[Any], self_added: bool) -> Any:
         refers = any(not each.is_self() and each.is_interpolation() for each in defaults)
         return collect(overrides, defaults, self_added) if refers else None
 
-    defaults_list._create_interpolation_map = where_needed
+    defaults_list._create_interpolation_map = where_needed  # type: ignore[assignment]

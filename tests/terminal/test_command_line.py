@@ -102,7 +102,7 @@ def test_an_error_of_the_system_is_one_line_without_a_file_too(
 @pytest.mark.usefixtures("uncompiled")
 def test_bad_input_that_a_planner_finds_exits_2_too(line: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """By a line without a type, a traceback and a command that would stop so again."""
-    monkeypatch.setattr(ilqr, "ITERATIONS", 1)
+    monkeypatch.setattr(ilqr, "ITERATIONS", 0)
     quick = ["preset=cartpole_trajectory", "task.horizon=20", "task.hold=0.1", "policy.knots=11"]
     status, _, err = line(*quick, "+task.states.d_position.mean=100", *FOLDERS)
     *_, said = err.splitlines()  # after those on the compilation
