@@ -21,14 +21,14 @@ pytestmark = pytest.mark.slow
 
 FAILING = ["task.horizon=300", "optimizer.max_evaluations=10", "method.max_iterations=2"]
 FAILING += ["cost.max_cost=1e-3"]  # never reached
-MIXED = ["task.horizon=600", "optimizer.max_evaluations=50", "method.max_iterations=2", "bias=gp"]
+MIXED = ["task.horizon=1000", "optimizer.max_evaluations=50", "method.max_iterations=2", "bias=gp"]
 SMALL = {
     "fig4": [*FAILING, "sweep.figures.fig4.columns=3"],
     "fig5": [*FAILING, "sweep.figures.fig5.experiments=1"],
     "fig6": [*FAILING, "bias=gp", "sweep.trials=2"],
     "fig7": [
         *(*MIXED, "sweep.trials=2"),
-        *(f"sweep.figures.fig7.{each}" for each in ("x.points=3", "y.points=2", "experiments=1")),
+        *(f"sweep.figures.fig7.{each}" for each in ("x.points=3", "y.points=3", "experiments=1")),
     ],
 }
 TRIALS = {"fig4": 1, "fig5": 1, "fig6": 4, "fig7": 4}
@@ -128,7 +128,7 @@ def test_success_rates_are_those_of_experiments_from_the_grid(
             x = np.array([row["alpha_w"], row["alpha_b"], *study.task.start_mean[2:]])
             assert study.cost.passes(study.experiment(policy, rng, x)) == row["succeeded"]
     with chdir(folder):
-        assert main([*command("fig7"), "sweep.figures.fig7.y.points=1"]) == 0
+        assert main([*command("fig7"), "sweep.figures.fig7.y.points=2"]) == 0
     assert len(batches(folder)) == 2 * len(once)
     assert once.items() < batches(folder).items()
     assert len(trials(folder)) == 4
