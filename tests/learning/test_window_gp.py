@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from in_numpy import predict_in_numpy
 from pendulum import NOISE, experiment, pendulum
 
 from simbias.core import Nominal
@@ -40,7 +41,12 @@ def test_it_finds_what_the_model_lacks(study: Study) -> None:
     rng, robot = np.random.default_rng(0), Sprung(study.nominal)
     learned = [experiment(robot, rng, 1500) for _ in range(2)]
     other = experiment(robot, rng, 500, np.zeros(4))
-    fitted = study.bias.learn(study.no_data, learned, study.nominal)
+    with pytest.MonkeyPatch.context() as patch:
+        predict_in_numpy(patch)
+        fitted, weighted = (
+            bias.learn(study.no_data, learned, study.nominal)
+            for bias in (study.bias, WindowGP(study.task, points=30, d=1.0))
+        )
     without = error(study, study.bias.fit(study.no_data), [other])
     assert error(study, fitted, [other]) < 0.95 * without
     inputs = np.concatenate([other.states[:-1], other.inputs], axis=1)[::50]
@@ -49,7 +55,6 @@ def test_it_finds_what_the_model_lacks(study: Study) -> None:
     draws = np.array([fitted.draw(np.random.default_rng(i)).predict(inputs)[0] for i in range(200)])
     np.testing.assert_allclose(draws.mean(axis=0), mean, atol=5 * np.sqrt(variance.max() / 200))
     assert (draws.std(axis=0) <= 1.3 * np.sqrt(variance) + 1e-9).all()
-    weighted = WindowGP(study.task, points=30, d=1.0).learn(study.no_data, learned, study.nominal)
     inputs = np.concatenate([inputs, inputs * 3.0, inputs + 100.0])
     mean, variance = weighted.predict(inputs)
     weight = np.exp(-np.sum(variance / variance[-1], axis=1, keepdims=True))  # the last is the prior's
@@ -61,6 +66,7 @@ def test_it_finds_what_the_model_lacks(study: Study) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("plain_predictions")
 def test_where_the_model_is_right_little_is_learned(study: Study) -> None:
     """Mostly nothing at all, as a gain has to exceed its standard error; never what harms elsewhere."""
     zero, ratios = study.bias.fit(study.no_data), []
@@ -73,6 +79,7 @@ def test_where_the_model_is_right_little_is_learned(study: Study) -> None:
     assert max(ratios) < 1.02
 
 
+@pytest.mark.usefixtures("plain_predictions")
 def test_too_little_is_nothing(study: Study) -> None:
     short = experiment(study.nominal, np.random.default_rng(0), 60)
     for rollouts in ([], [short]):
