@@ -62,7 +62,7 @@ def shortened(command: str) -> list[str]:
     arguments = [own.get(word, word) for word in arguments]
     if str(OWN_CONF) in arguments:
         groups = sorted(folder.name for folder in OWN_CONF.iterdir() if folder.is_dir())
-        few = [] if "check" in arguments else ["optimizer.max_evaluations=5", "method.max_iterations=1"]
+        few = [] if "check" in arguments else ["optimizer.max_evaluations=5", *SHORT[2:]]
         return [*arguments, *(f"{group}=point_mass" for group in groups), *few]
     if {"identify", "excite"} & set(arguments):
         return [
@@ -113,7 +113,7 @@ figure = expand(["+sweep=fig7"]).figures["fig7"]  # whose class lies beside the 
 assert "/simbias/sweeps/figures/" in sys.modules[type(figure).__module__].__file__
 files.report = lambda *_: ""  # drawn in test_identify.py
 excite.TRAJECTORIES = identify.TRAJECTORIES = excitation.REFERENCES = 1
-excitation.MODELS = 2
+excitation.MODELS, excitation.REFERENCE = 2, 0.5
 for arguments in ast.literal_eval(sys.argv[1]):
     if "TRIAL" in arguments:  # of a command before
         made = (file for file in Path("trials").glob("*/trial.json") if "point_mass" not in file.read_text())

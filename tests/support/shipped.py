@@ -12,7 +12,7 @@ from simbias.config import Composition, compose, options
 from simbias.config.resources import resource_folder
 
 OF_A_ROBOT = ("task", "nominal", "hardware", "samples", "cost")
-# whose options go through the conformance suite; robots have theirs in tests/robots
+# whose options go through the conformance suite
 GROUPS = ("policy", "bias", "samples", "cost", "evaluation", "identification", "optimizer")
 MODEL = "gymnasium:envs/mujoco/assets/inverted_pendulum.xml"
 COLUMNS = (  # of tests/recordings
@@ -70,14 +70,15 @@ def overrides(group: str, option: str) -> list[str]:
     return [f"preset={preset}", *NEEDED.get(f"preset={preset}", [])] if preset else [choice]
 
 
+@cache
 def file_of(group: str, option: str) -> Any:
-    """What a shipped option's file says."""
+    """What a shipped option's file says, which is only read."""
     return yaml.safe_load((resource_folder("conf") / group / f"{option}.yaml").read_text())
 
 
 def shipped(group: str, option: str) -> Any:
     """What an option's file says, and those that it begins with; interpolations are not resolved."""
-    own = file_of(group, option)
+    own = dict(file_of(group, option))
     first = [shipped(group, each) for each in own.pop("defaults", []) if each != "_self_"]
     return OmegaConf.to_container(OmegaConf.merge(*first, own))
 

@@ -24,8 +24,6 @@ from simbias.trial.warm_up import warm_up
 
 pytestmark = pytest.mark.usefixtures("uncompiled")
 
-FEW = ["identification.starts=2", "identification.rounds=1", "identification.evaluations=2"]
-
 
 class Noting(Evaluation):
     """Notes the policies that it evaluates."""
@@ -52,7 +50,8 @@ def problems(study: Study, group: str) -> list[str]:
 @pytest.mark.usefixtures("plain_predictions")
 def test_what_rests_without_inputs_is_warmed_up() -> None:
     """A hanging pendulum: nothing errs, so there is nothing to whiten by."""
-    study = pendulum("identification=posterior", "bias=window_gp", "task.horizon=120", *FEW)
+    few = [f"identification.{each}" for each in ("starts=1", "rounds=1", "evaluations=2", "window=0.02")]
+    study = pendulum("identification=posterior", "bias=window_gp", "task.horizon=60", *few)
     assert not study.simulate(np.zeros(study.policy.n_parameters)).states.any()
     warm_up(study)
     assert problems(study, "identification") == []
