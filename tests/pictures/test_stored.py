@@ -26,7 +26,11 @@ pytestmark = pytest.mark.slow
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """One figure is drawn, the others are empty; `test_gallery.py` draws all."""
     for name in AT_REST - {"overview"}:
-        monkeypatch.setitem(FIGURES, name, lambda *_: Figure())
+        monkeypatch.setitem(FIGURES, name, empty)
+
+
+def empty(study: Study, iterations: Sequence[Iteration]) -> Figure:
+    return Figure(figsize=(1.0, 1.0))
 
 
 def trial_of(folder: Path) -> Path:
@@ -62,8 +66,9 @@ def test_command_line_draws_a_stored_trial(tmp_path: Path, capsys: pytest.Captur
     assert err.count("\n") == 1
 
 
-def test_a_sweeps_trials_keep_few_pictures(folder: Path) -> None:
+def test_a_sweeps_trials_keep_few_pictures(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An overview of the first of each cell; to draw one takes longer than to keep a trial."""
+    monkeypatch.setitem(FIGURES, "overview", empty)
     few = ["tracking=folders", "sweep.trials=2", "engine=sequential"]
     assert simbias(["+sweep=smoke", NO_FIGURES, *QUICK, *few]) == 0
     drawn = [pictures_of(outcome.parent) for outcome in folder.glob("trials/*/outcome.json")]
