@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import OWN_CONF, POINT_MASS
 from hardware import counted
 from point_mass import InTheWind
 
@@ -38,14 +39,20 @@ def wind(point_mass: Study):
     return lambda config: InTheWind(point_mass.task, **config)
 
 
+@pytest.fixture
+def searching() -> Study:
+    """The point mass, few of whose policies are tried in a simulator that takes one after the other."""
+    return simbias.load([*POINT_MASS, "tracking=none", "optimizer.max_evaluations=50"], OWN_CONF)
+
+
 METHODS: dict[str, Method] = {
     "ideal": Ideal(rollouts=2),
     "one_shot": OneShot(batch=3),
     "cost_residual": CostResidual(max_iterations=2),
     "inaccurate_model": InaccurateModel(max_iterations=2),
-    "cma": DirectSearch("cma", max_iterations=3),
-    "bayesian": DirectSearch("bayesian", max_iterations=6),
-    "multi_fidelity": MultiFidelity(lambda config: None, max_iterations=3),  # type: ignore[arg-type,return-value]
+    "cma": DirectSearch("cma", max_iterations=2),
+    "bayesian": DirectSearch("bayesian", max_iterations=5),
+    "multi_fidelity": MultiFidelity(lambda config: None, max_iterations=2),  # type: ignore[arg-type,return-value]
 }
 
 
@@ -59,14 +66,15 @@ def test_each_keeps_the_contract_and_is_resumed(hasty: Study) -> None:
 
 
 @pytest.mark.slow
-def test_ideal_holds_what_the_model_does_not(point_mass: Study) -> None:
+def test_ideal_holds_what_the_model_does_not(searching: Study) -> None:
     """Its policy is searched in the wind, and no experiment is spent on that."""
-    record = run_trial(replace(point_mass, method=Ideal(rollouts=2)))
+    record = run_trial(replace(searching, method=Ideal(rollouts=2)))
     assert (record.outcome, record.summary.experiments) == (Outcome.SUCCEEDED, 2)
     assert record.iterations[0].parameters[2] == pytest.approx(-2.0, abs=0.7)  # the wind, balanced
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("uncompiled")
 def test_a_search_on_hardware_moves_no_robot_unasked(hasty: Study) -> None:
     """Nor one that is asked for by `study.ask()`, or held by limits, which the search keeps."""
     ideal = replace(hasty, method=Ideal(rollouts=1))
@@ -98,6 +106,7 @@ def test_a_search_on_hardware_moves_no_robot_unasked(hasty: Study) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("uncompiled")
 def test_one_shot_learns_once(point_mass: Study) -> None:
     record = run_trial(replace(point_mass, method=OneShot(batch=3, experiments=2)))
     first, second = record.iterations
@@ -158,10 +167,10 @@ def test_the_model_is_exact_along_an_experiment(point_mass: Study) -> None:
 
 
 @pytest.mark.slow
-def test_simulators_of_rising_fidelity_end_at_the_top(point_mass: Study) -> None:
+def test_simulators_of_rising_fidelity_end_at_the_top(searching: Study) -> None:
     """The one in the middle knows most of the wind: its policy, not the model's, is the first on hardware."""
-    method = MultiFidelity(wind(point_mass), {"wind": 1.8}, rollouts=2, max_iterations=3)
-    record = run_trial(replace(point_mass, method=method))
+    method = MultiFidelity(wind(searching), {"wind": 1.8}, rollouts=2, max_iterations=3)
+    record = run_trial(replace(searching, method=method))
     (only,) = record.iterations
     assert only.succeeded
     assert len(only.experiments) == 2  # of the hardware
@@ -171,9 +180,9 @@ def test_simulators_of_rising_fidelity_end_at_the_top(point_mass: Study) -> None
 
 
 @pytest.mark.slow
-def test_what_the_top_says_corrects_the_bottom(point_mass: Study) -> None:
-    study = replace(point_mass, bias=GaussianProcess(point_mass.task))
-    method = MultiFidelity(wind(point_mass), {"wind": -2.0}, rollouts=2, max_iterations=3)
+def test_what_the_top_says_corrects_the_bottom(searching: Study) -> None:
+    study = replace(searching, bias=GaussianProcess(searching.task))
+    method = MultiFidelity(wind(searching), {"wind": -2.0}, rollouts=2, max_iterations=3)
     record = run_trial(replace(study, method=method))
     assert not record.iterations[0].succeeded
     assert record.outcome is Outcome.SUCCEEDED
