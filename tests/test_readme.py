@@ -3,19 +3,16 @@
 import os
 import re
 import shlex
-import shutil
 import subprocess
 import sys
 import zipfile
 from pathlib import Path
 
 import pytest
-import shipped
 from conftest import OWN_CONF, ROOT
 from hatchling.builders.wheel import WheelBuilder
 from pendulum import COLUMNS
 
-from simbias.config import compose
 from simbias.core.cache import cache_folder
 
 LARGEST_WHEEL = 1_200_000  # bytes; published pictures alone take twice as much
@@ -33,6 +30,7 @@ SHORT = [
     "task.horizon=120",  # swing-ups hold for 100 frames
     "optimizer.max_evaluations=20",
     "method.max_iterations=1",
+    "tracking=folders",  # MLflow is in `test_command_line.py`
     "tracking.pictures=false",
 ]
 SHOWN = README + "".join((ROOT / folder / "README.md").read_text() for folder in USED)
@@ -74,34 +72,19 @@ def shortened(command: str) -> list[str]:
     trials = ["sweep.trials=1", "sweep.axes.noise.values=[[0.0,0.0,0.0]]", "engine=sequential"]
     trials += ["+sweep.figures={}"]
     if any(word.startswith("preset=") for word in arguments):
-        return [*arguments, *shortest(arguments)]
+        return [*arguments, *SHORT[3:]]
     return [*arguments, *SHORT, *(trials if "+sweep=table2" in arguments else [])]
-
-
-def shortest(arguments: list[str]) -> list[str]:
-    """Overrides by which a preset is run in NumPy, as sweeps are in `tests/sweep/test_results.py`."""
-    whole = compose(arguments)
-    modelled = whole.choices["nominal"] != "none"  # else a bias is all that there is
-    changed = shipped.shortened(whole).config
-    return [
-        *(["identification=none", "bias=none"] if modelled else []),
-        *(
-            f"{group}.{key}={changed[group][key]}"
-            for group, most in shipped.SHORT.items()
-            if group != "identification" or not modelled
-            for key in most.keys() & changed[group].keys()
-            if changed[group][key] != whole.config[group][key]
-        ),
-        *("tracking=folders", "tracking.pictures=false"),  # others have MLflow's store
-    ]
 
 
 PROGRAM = """
 import ast, re, sys
+from dataclasses import replace
 from pathlib import Path
 import pytest
 import simbias
 from in_numpy import predict_in_numpy, simulate_in_numpy
+from shipped import file_of, shortened
+from simbias.config import Variations
 from simbias.search.optimizer import ilqr
 from simbias.__main__ import main
 from simbias.recordings import excitation, files
@@ -114,6 +97,15 @@ assert "/simbias/sweeps/figures/" in sys.modules[type(figure).__module__].__file
 files.report = lambda *_: ""  # drawn in test_identify.py
 excite.TRAJECTORIES = identify.TRAJECTORIES = excitation.REFERENCES = 1
 excitation.MODELS, excitation.REFERENCE = 2, 0.5
+composed = Variations.composition
+
+def soon_done(variations, settings):
+    whole = composed(variations, settings)
+    if whole.choices["nominal"] != "none":  # else a bias is all that there is
+        learns = {group: file_of(group, "none") for group in ("identification", "bias")}
+        whole = replace(whole, config=whole.config | learns)
+    return shortened(whole)
+
 for arguments in ast.literal_eval(sys.argv[1]):
     if "TRIAL" in arguments:  # of a command before
         made = (file for file in Path("trials").glob("*/trial.json") if "point_mass" not in file.read_text())
@@ -125,6 +117,8 @@ for arguments in ast.literal_eval(sys.argv[1]):
             simulate_in_numpy(patch)
             patch.setattr(ilqr, "ITERATIONS", 1)
             predict_in_numpy(patch)
+            if "excite" not in words:
+                patch.setattr(Variations, "composition", soon_done)
         try:
             status = main(arguments)
         except SystemExit as end:  # of --help
@@ -166,9 +160,8 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str
 
 
 @pytest.mark.slow
-def test_commands_run(installed: dict[str, str], new_store: Path, tmp_path: Path) -> None:
+def test_commands_run(installed: dict[str, str], tmp_path: Path) -> None:
     """One after the other in one process, as a new one takes seconds: `test_command_line.py` starts some."""
-    shutil.copy(new_store, tmp_path)
     wanted = [shortened(command) for command in COMMANDS]
     assert len(wanted) >= 8
     done = subprocess.run(
