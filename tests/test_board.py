@@ -187,7 +187,7 @@ def test_a_search_for_the_time_up_begins_after_resets(
     import uptime
 
     for module in (plant, score):
-        monkeypatch.setattr(module, "MINUTE", 6.0)
+        monkeypatch.setattr(module, "MINUTE", 3.0)
     monkeypatch.setattr(plant, "RESETS", 2)
     monkeypatch.setattr(uptime, "SEEDS", range(2))
     board = ["preset=acrobot_board", "tracking=none"]

@@ -17,12 +17,16 @@ from simbias.__main__ import main
 
 pytestmark = pytest.mark.slow
 
+STARTS = 3  # from which policies are tried
 Study = Callable[..., str]
 
 
 @pytest.fixture
 def study(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Study:
     """Runs a study in this process, without workers of its own, and returns what it prints."""
+
+    monkeypatch.setattr(premise, "STARTS", STARTS)
+    monkeypatch.setattr(premise, "balanced_starts", partial(premise.balanced_starts, starts=STARTS))
 
     def run_study(name: str, *arguments: str) -> str:
         program = str(ROOT / "sweeps" / "studies" / f"{name}.py")
@@ -35,27 +39,23 @@ def study(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
     return run_study
 
 
-def test_last_policies_of_a_sweep_are_tried(
-    study: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(premise, "STARTS", 3)
-    monkeypatch.setattr(premise, "balanced_starts", partial(premise.balanced_starts, starts=3))
+def test_last_policies_of_a_sweep_are_tried(study: Study, tmp_path: Path) -> None:
     assert main(["+sweep=smoke", NO_FIGURES, *FOLDERS, "engine=sequential"]) == 0
     head, _, *body = study("last_policies", "smoke", "policies.csv").splitlines()
     assert head.endswith("| succeeded | starts that the last policy balances |")
     assert [line.split(" | ")[0] for line in body] == ["| 0", "| 0.2"]
     found = pd.read_csv(tmp_path / "policies.csv")
     assert list(found["repetition"]) == [0, 0, 1, 1]
-    assert found["balanced"].between(0, 3).all()
-    assert set(found["starts"]) == {3}
+    assert found["balanced"].between(0, STARTS).all()
+    assert set(found["starts"]) == {STARTS}
 
 
 def test_a_policy_is_searched_on_the_hardware(study: Study, tmp_path: Path) -> None:
     short = ["--seeds", "1", "--evaluations", "3", "task.horizon=60", "optimizer.max_evaluations=20"]
     study("searched_on_hardware", "found.csv", *short)
     (found,) = pd.read_csv(tmp_path / "found.csv").to_dict("records")
-    assert (found["seed"], found["starts"]) == (0, 20)
-    assert found["hardware_balances"] == found["simulated_balances"] == 20  # nobody falls within 60 ms
+    assert (found["seed"], found["starts"]) == (0, STARTS)
+    assert found["hardware_balances"] == found["simulated_balances"] == STARTS  # nobody falls within 60 ms
 
 
 def few_gaps(values: list[str], labels: list[str]) -> list[str]:
@@ -95,7 +95,7 @@ def test_what_is_learned_on_one_engine_is_tried_on_all(study: Study, tmp_path: P
     tried = pd.read_csv(tmp_path / "engines.csv")
     engines = ["pymunk", "box2d", "mujoco_bongoboard"]
     assert list(tried["learned on"]) == engines
-    assert (tried[engines] == 20).all(axis=None)  # nobody falls within 60 ms
+    assert (tried[engines] == STARTS).all(axis=None)  # nobody falls within 60 ms
     assert [line.split(" | ")[0] for line in printed.splitlines()[2:]] == [f"| {name}" for name in engines]
 
 

@@ -76,7 +76,7 @@ def test_what_is_no_name_or_a_long_one_is_a_short_line() -> None:
 
 @pytest.mark.slow
 def test_a_folder_may_have_any_name(tmp_path: Path) -> None:
-    for name in ("a,b", "a=b", "a b", "a'b", "a\\b", "a[b}", "ü"):
+    for name in ("a,b=c d", "a'b\\c[d}ü"):
         write(tmp_path, {f"{name}/bias/mine.yaml": "_target_: simbias.learning.bias.none.NoBias"})
         assert compose(["bias=mine"], tmp_path / name).hash == compose(["bias=none"]).hash
 

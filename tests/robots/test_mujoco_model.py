@@ -94,7 +94,7 @@ def test_compiled_rollouts_are_the_plain_ones() -> None:
     On one thread or several, whatever is simulated beside; models live as long as the compiled loop does.
     """
     study = search("identification=none", "bias=none")
-    asked = candidates(study, 60)
+    asked = candidates(study, 24)
     for learns in (False, True):
         models = models_of(study, OfAllLanes(6) if learns else None)
         reference, expected = PlainSimulator(models, [None] * 3).costs(study.cost, *asked)

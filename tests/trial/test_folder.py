@@ -109,7 +109,7 @@ def test_an_experiment_is_on_disk_before_it_is_used(short: Study, tmp_path: Path
 @pytest.mark.parametrize("overrides", [SHORT, ROBUST], ids=["paper", "robust"])
 def test_stopped_anywhere_a_trial_ends_as_uninterrupted(overrides: list[str], tmp_path: Path) -> None:
     """However many of its last steps are missing, whatever else a kill left; no experiment is made twice."""
-    study = simbias.load(overrides)
+    study = simbias.load([*overrides, "method.max_iterations=2"])
     uninterrupted = timeless(run_trial(study, tmp_path / "whole"))
     assert_equal(timeless(run_trial(study)), uninterrupted)
     names = step_names(tmp_path / "whole")
