@@ -3,6 +3,7 @@
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -30,9 +31,9 @@ SHORT = [
     "task.horizon=120",  # swing-ups hold for 100 frames
     "optimizer.max_evaluations=20",
     "method.max_iterations=1",
-    "tracking=folders",  # MLflow is in `test_command_line.py`
     "tracking.pictures=false",
 ]
+FOLDERS = "tracking=folders"  # in all but the first command, as MLflow takes its time
 SHOWN = README + "".join((ROOT / folder / "README.md").read_text() for folder in USED)
 COMMANDS = sorted(
     {
@@ -61,7 +62,7 @@ def shortened(command: str) -> list[str]:
     if str(OWN_CONF) in arguments:
         groups = sorted(folder.name for folder in OWN_CONF.iterdir() if folder.is_dir())
         few = [] if "check" in arguments else ["optimizer.max_evaluations=5", *SHORT[2:]]
-        return [*arguments, *(f"{group}=point_mass" for group in groups), *few]
+        return [*arguments, *(f"{group}=point_mass" for group in groups), *few, FOLDERS]
     if {"identify", "excite"} & set(arguments):
         return [
             *arguments,
@@ -72,8 +73,9 @@ def shortened(command: str) -> list[str]:
     trials = ["sweep.trials=1", "sweep.axes.noise.values=[[0.0,0.0,0.0]]", "engine=sequential"]
     trials += ["+sweep.figures={}"]
     if any(word.startswith("preset=") for word in arguments):
-        return [*arguments, *SHORT[3:]]
-    return [*arguments, *SHORT, *(trials if "+sweep=table2" in arguments else [])]
+        return [*arguments, *SHORT[3:], FOLDERS]
+    stored = [FOLDERS] if arguments else []
+    return [*arguments, *SHORT, *stored, *(trials if "+sweep=table2" in arguments else [])]
 
 
 PROGRAM = """
@@ -160,8 +162,9 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str
 
 
 @pytest.mark.slow
-def test_commands_run(installed: dict[str, str], tmp_path: Path) -> None:
+def test_commands_run(installed: dict[str, str], new_store: Path, tmp_path: Path) -> None:
     """One after the other in one process, as a new one takes seconds: `test_command_line.py` starts some."""
+    shutil.copy(new_store, tmp_path)
     wanted = [shortened(command) for command in COMMANDS]
     assert len(wanted) >= 8
     done = subprocess.run(

@@ -1,7 +1,4 @@
-"""Hydra reads each file of options once, and collects what nothing asks for no more.
-
-Else parsing them again takes a third of a composition's time, and a map of all choices after each a fourth.
-"""
+"""Hydra reads each file of options once: parsing them again takes a third of a composition's time."""
 
 from __future__ import annotations
 
@@ -10,7 +7,6 @@ from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
-from hydra._internal import defaults_list
 from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.plugins import Plugins
 from hydra.plugins.config_source import ConfigResult, ConfigSource
@@ -59,13 +55,6 @@ def _read(provider: str, folder: str, config_path: str, time: int, size: int) ->
 
 @cache
 def register() -> None:
-    """Make both known to Hydra; choices are collected where one of a file's defaults refers to them."""
+    """Make both known to Hydra."""
     for each in (OptionFiles, ShippedOptions):
         Plugins.instance().register(each)
-    collect = defaults_list._create_interpolation_map
-
-    def where_needed(overrides: Any, defaults: list[Any], self_added: bool) -> Any:
-        refers = any(not each.is_self() and each.is_interpolation() for each in defaults)
-        return collect(overrides, defaults, self_added) if refers else None
-
-    defaults_list._create_interpolation_map = where_needed  # type: ignore[assignment]
