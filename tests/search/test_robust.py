@@ -171,7 +171,7 @@ def test_a_first_stage_is_the_papers_prediction_and_changes_no_scenario(study: S
 
 @pytest.mark.slow
 def test_a_search_in_fresh_scenarios_holds_on_models_that_it_has_not_met() -> None:
-    """Those on the nominal model alone let the cart-pole fall on more of those that might be right."""
+    """Those of the nominal model from its mean start let the cart-pole fall on more that might be right."""
     options = ["preset=cartpole", "optimizer=cma", "tracking=none", "optimizer.max_evaluations=400"]
     options += ["nominal.uncertainty={cart_mass: 0.5, pole_mass: 0.5, length: 0.5}"]
     options += ["evaluation=fresh_randomization"]
