@@ -18,6 +18,7 @@ BEYOND_PRIOR = 1.05  # deviations of the prior, from which errors scatter what i
 AT_BOUND = 0.05  # prior standard deviations from a bound
 TAIL = 2.5  # prior standard deviations from the median
 DISAGREEMENT = 3.0  # standard deviations between estimates of two parts
+STEP_DOUBT = "depends on the integration step"
 TOO_LONG = 1.0  # standard deviations by which shorter steps of integration move what is identified
 
 
@@ -82,7 +83,7 @@ def findings(
             "recordings disagree" if disagree[i] else "",
             f"recordings disagree on {', '.join(shaken)}" if shaken and not disagree[i] else "",
             "depends on the window" if _moved(fitted, by_window, i) > DISAGREEMENT else "",
-            "depends on the integration step" if shifts[i] > TOO_LONG else "",
+            STEP_DOUBT if shifts[i] > TOO_LONG else "",
         ]
         alone = tuple(each.estimates[i] for each in by_part)
         found.append(Finding(parameter, estimate, shrinkage, partners, alone, tuple(filter(None, doubts))))

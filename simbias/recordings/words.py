@@ -8,7 +8,7 @@ import numpy as np
 
 from simbias.recordings.assessment import Assessment
 from simbias.recordings.excitation import Excitation
-from simbias.recordings.findings import BEYOND_PRIOR
+from simbias.recordings.findings import BEYOND_PRIOR, STEP_DOUBT
 from simbias.recordings.horizons import by_state
 
 PARAMETER_NAMES = (
@@ -25,6 +25,7 @@ ERROR_NAMES = ("horizon (s)", "predictions", "over nominal", "90% region holds")
 MEAN = "in the geometric mean over states and horizons"
 WORTH = 0.1  # share by which an experiment has to narrow a parameter to be named
 REMEDY = "measure what you can otherwise (masses by weighing or another load), and declare it"
+SHORTER = "take a smaller nominal.sub_step or, in an MJCF, timestep"
 MEND = "errors are larger than the model explains, so mend the recordings or the model first"
 TRUST = (
     "Trust holds for motions like those recorded. To test it, hold out a faster or stronger one (--held-out)."
@@ -150,7 +151,10 @@ def reach_lines(assessment: Assessment) -> Iterator[str]:
 
 
 def advice(assessment: Assessment, excitation: Excitation | str) -> Iterator[str]:
-    """Sentences about the trajectory to record next, and the parameters it should narrow."""
+    """Sentences about steps of integration, the trajectory to record next, and what it should narrow."""
+    stepped = [finding.estimate.name for finding in assessment.findings if STEP_DOUBT in finding.doubts]
+    if stepped:
+        yield f"Shorter steps of integration would move {', '.join(stepped)}: {SHORTER}."
     before = np.sqrt(np.diag(assessment.identified.covariance))
     names = [finding.estimate.name for finding in assessment.findings]
     if isinstance(excitation, str):

@@ -35,7 +35,7 @@ from simbias.recordings.files import (
     parameters,
     write,
 )
-from simbias.recordings.findings import findings
+from simbias.recordings.findings import STEP_DOUBT, findings
 from simbias.recordings.horizons import CHANGE, Prediction, inside, predictions, regions, sizes
 from simbias.recordings.parts import parts
 from simbias.recordings.reach import beyond
@@ -191,8 +191,8 @@ def test_what_takes_up_a_parameter_that_changes_is_doubted_with_it(assessment: A
     assert not any("disagree" in doubt for each in doubts.values() for doubt in each)
 
 
-def test_nothing_is_advised_for_what_each_recording_has_of_its_own(assessment: Assessment) -> None:
-    """No input tells it beforehand, and nothing that is weighed."""
+def test_what_is_advised_may_help(assessment: Assessment) -> None:
+    """Of what each recording has of its own no input tells beforehand, nor anything that is weighed."""
     first, *others = assessment.findings
     own = replace(first, prior=first.prior._replace(of_recording=True))
     useless = Excitation(
@@ -210,6 +210,9 @@ def test_nothing_is_advised_for_what_each_recording_has_of_its_own(assessment: A
     assert rest.endswith(
         ": measure what you can otherwise (masses by weighing or another load), and declare it."
     )
+    stepped = replace(first, doubts=(STEP_DOUBT,))
+    said = next(advice(replace(assessment, findings=[stepped, *others]), "none"))
+    assert said.startswith(f"Shorter steps of integration would move {first.prior.name}: take a smaller ")
     with_own = replace(assessment, findings=[own, *others])
     told = [about_errors(each) for each in (assessment, with_own, replace(with_own, recordings=["one"]))]
     assert [f"Of {first.prior.name} each recording has its own" in each for each in told] == [0, 1, 0]
