@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import compress
 
 import numpy as np
 
@@ -41,11 +42,12 @@ def smoothed(rollouts: Sequence[Rollout], frames: int) -> list[Array]:
     Each is that of a polynomial through the frames around, at most `frames` to each side (A. Savitzky and
     M. J. E. Golay, Analytical Chemistry 36, 1964). For each state, their number is chosen by leave-one-out
     cross-validation, robust to outliers. Where more than noise would go, as at a collision, states stay as
-    recorded; so do rollouts of fewer frames.
+    recorded; so do true ones, and rollouts of fewer frames.
     """
     from scipy.signal import savgol_coeffs, savgol_filter  # lazily, as of `Actuators`: few need it
 
-    long = [rollout for rollout in rollouts if len(rollout.states) > 2 * frames]
+    noisy = [rollout.sensed and len(rollout.states) > 2 * frames for rollout in rollouts]
+    long = list(compress(rollouts, noisy))
     if frames < FEWEST_AROUND or not long:
         return [rollout.states for rollout in rollouts]
     recorded = np.concatenate([rollout.states for rollout in long])
@@ -61,7 +63,7 @@ def smoothed(rollouts: Sequence[Rollout], frames: int) -> list[Array]:
         least = np.minimum(errors, least)
     ends = np.cumsum([len(rollout.states) for rollout in long])[:-1]
     made = iter(np.split(best, ends))
-    return [next(made) if len(rollout.states) > 2 * frames else rollout.states for rollout in rollouts]
+    return [next(made) if each else rollout.states for rollout, each in zip(rollouts, noisy, strict=True)]
 
 
 def _samples(values: Array) -> Array:

@@ -31,10 +31,15 @@ RECORDS, SECONDS = 16, 1.0  # records of the regulated model that are imitated, 
 EXCITATION = 0.01  # with random inputs of this share of the limits
 SEED = 0  # of these records: the same model has the same policies
 CLOSE = 0.1  # share of the goal, by which a state is off it: so little that a constant counts
-ALIKE = 0.5  # of the regulator's squared inputs, by which those of a policy may differ there
+ALIKE = 0.5  # of the squared inputs, by which those of a policy may differ there
+DIGITS = 9  # of states at rest, in their units: what is less is no motion
 NO_ERRORS = (
     "{} cannot hold the goal as LQR does, so it regulates to zero: its outputs are not zero at the goal "
-    "(position - 0.5 is), or the goal needs a steady input (dynamic_output_feedback, policy.constant)"
+    "(position - 0.5 is), and it has no constant (dynamic_output_feedback, policy.constant)"
+)
+STEADY_INPUT = (
+    "{} has no constant for the steady input that holds the robot, so it rests elsewhere "
+    "(dynamic_output_feedback, policy.constant; or method=lqi)"
 )
 
 
@@ -81,24 +86,29 @@ def lqr_policies(
 
     With an integral's weight it is LQI: the integrals of what the policy integrates are states too. The model
     is linearised as its joints slide: at rest, dry friction looks like damping that they do not have in
-    motion, and regulators that count on it fall. `sticking` linearises it at rest all the same.
+    motion, and regulators that count on it fall. `sticking` linearises it at rest all the same, and lets
+    gains make up for a constant that a policy lacks, as published trials did.
     """
     if model.task.targets:  # what it regulates to changes with each start
         return []
     if not sticking:
         model = replace(model, nominal=model.nominal.without_dry_friction())
     goal = resting_goal(model.task)
-    policies = _regulating(model, goal, input_weights, integral_weight)
+    policies = _regulating(model, goal, input_weights, integral_weight, sticking)
     if policies is None:
         warnings.warn(NO_ERRORS.format(type(model.policy).__name__), SlowWarning, stacklevel=2)
-        policies = _regulating(model, None, input_weights, integral_weight)
+        policies = _regulating(model, None, input_weights, integral_weight, sticking)
     return policies or []
 
 
 def _regulating(
-    model: Model, goal: Array | None, input_weights: Sequence[float], integral_weight: float
+    model: Model, goal: Array | None, input_weights: Sequence[float], integral_weight: float, sticking: bool
 ) -> list[Array] | None:
-    """Policies (p,) that imitate regulators to a goal (n,) or zero; None if the policy cannot at a goal."""
+    """Policies (p,) that imitate regulators to a goal (n,) or zero; None if the policy cannot at a goal.
+
+    Where the rest takes a steady input that the policy cannot give, they imitate what is added to it: an
+    integral finds the input; without one, they rest elsewhere.
+    """
     try:
         linear = linearised(model, goal)
         if integral_weight:
@@ -108,26 +118,52 @@ def _regulating(
     limit = input_scale(model.task)
     each = [lqr_gains(linear, weight * np.diag(limit**-2.0)) for weight in input_weights]
     found = [gains for gains in each if gains is not None]
+    offset = not sticking and _needs_a_constant(model, linear, goal)
+    if offset:
+        linear = _without_steady_input(linear, goal)
     imitations = [model.policy.imitating(*record) for record in _records(model, linear, found)]
     policies = [theta for theta in imitations if theta is not None]
     if policies and goal is not None:
         integrated = model.policy.integrated(goal) if integral_weight else np.zeros(0)
         if (np.abs(integrated) > NEAR).any() or not _is_imitated(model, linear, found[0], goal):
             return None
+    if policies and offset and not integral_weight:
+        warnings.warn(STEADY_INPUT.format(type(model.policy).__name__), SlowWarning, stacklevel=3)
     return policies
+
+
+def _needs_a_constant(model: Model, linear: Linear, goal: Array | None) -> bool:
+    """Whether the rest takes steady inputs that the policy cannot give at whatever states around it."""
+    u, x = linear.inputs, linear.rest[: linear.states] if goal is None else goal
+    if (np.abs(u) <= NEAR * input_scale(model.task)).all():
+        return False
+    states = x + np.random.default_rng(SEED).standard_normal((1, RECORDS * len(x), len(x)))
+    return not _acts(model, states, np.tile(u, (*states.shape[:-1], 1)), u)
+
+
+def _without_steady_input(linear: Linear, goal: Array | None) -> Linear:
+    """The model as if it rested at a goal (n,), or zero, without input."""
+    rest = linear.rest.copy()
+    rest[: linear.states] = 0.0 if goal is None else goal
+    return linear._replace(rest=rest, inputs=np.zeros_like(linear.inputs))
 
 
 def _is_imitated(model: Model, linear: Linear, gains: Array, goal: Array) -> bool:
     """Whether the policy can do as a regulator K (m, l) does near a goal (n,) that is not zero."""
     n = linear.states
     off = CLOSE * np.random.default_rng(SEED).standard_normal((1, RECORDS, 1)) * goal
-    states, inputs = linear.rest[:n] + off, linear.inputs - off @ gains[:, :n].T
+    states, inputs = linear.rest[:n].round(DIGITS) + off, linear.inputs - off @ gains[:, :n].T
+    return _acts(model, states, inputs, np.clip(inputs, *model.task.input_bounds) - linear.inputs)
+
+
+def _acts(model: Model, states: Array, inputs: Array, added: Array) -> bool:
+    """Whether the policy can give inputs (1, k, m) at states (1, k, n), its error being less than `added`."""
     theta = model.policy.imitating(states, inputs)
     if theta is None:
         return False
-    u, _ = model.policy.act(theta, states, 0.0, np.zeros((*off.shape[:-1], model.policy.state_size)))
-    asked = np.clip(inputs, *model.task.input_bounds)
-    return bool(np.sum((u - asked) ** 2) <= ALIKE * np.sum((asked - linear.inputs) ** 2))
+    u, _ = model.policy.act(theta, states, 0.0, np.zeros((*states.shape[:-1], model.policy.state_size)))
+    wrong = u - np.clip(inputs, *model.task.input_bounds)
+    return bool(np.mean(wrong**2) <= ALIKE * np.mean(added**2))
 
 
 def rest(model: Model, near: Array | None = None, exactly: bool = False) -> tuple[Array, Array]:

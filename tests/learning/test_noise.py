@@ -40,17 +40,18 @@ def test_steps_of_an_encoder_are_noise_also_where_it_mostly_rests() -> None:
 
 def recorded(*states: Array) -> Rollout:
     x = np.column_stack(states)
-    return Rollout(x, x[:-1])
+    return Rollout(x, x[:-1], sensed=True)
 
 
 def test_smoothed_states_are_nearer_to_the_motion_than_recorded_ones() -> None:
-    """White noise falls to less than half."""
+    """White noise falls to less than half; true states stay, as noise that a policy feeds back moved them."""
     rng, t = np.random.default_rng(0), 0.01 * np.arange(2000.0)
     motion = np.column_stack([np.sin(3 * t), 3 * np.cos(3 * t)])
     noisy = motion + np.array([0.01, 0.3]) * rng.standard_normal(motion.shape)
-    smooth = smoothed([Rollout(noisy, noisy[:-1])], 10)[0]
+    smooth, true = smoothed([recorded(noisy), Rollout(noisy, noisy[:-1])], 10)
     assert (np.std(smooth - motion, axis=0) < 0.5 * np.array([0.01, 0.3])).all()
-    np.testing.assert_array_equal(smoothed([Rollout(noisy, noisy[:-1])], 0)[0], noisy)
+    np.testing.assert_array_equal(true, noisy)
+    np.testing.assert_array_equal(smoothed([recorded(noisy)], 0)[0], noisy)
 
 
 def test_motion_without_noise_stays() -> None:

@@ -104,6 +104,26 @@ def test_the_rest_is_at_a_goal_that_is_not_zero(errors: bool) -> None:
     np.testing.assert_allclose(end, [0.3, 0.0], atol=0.06)
 
 
+WIND = ConstantBias(2.0 * 0.02 * np.array([0.02, 1.0]), np.zeros(2))  # of 2 N
+
+
+def test_a_steady_input_is_the_constants_or_the_integrals() -> None:
+    """It enters no gain: a policy without a constant has those of calm air, and is said to rest elsewhere."""
+    task = Elsewhere(errors=True)
+    windy = replace(point_mass(), task=task, bias=WIND)
+    constant = replace(windy, policy=DynamicOutputFeedback(task, constant=5.0))
+    (theta, *_) = lqr_policies(constant)
+    end = PlainSimulator([constant], [None]).rollout(theta, task.start_mean).states[-1]
+    np.testing.assert_allclose(end, [0.3, 0.0], atol=0.06)
+    without, integral = (replace(windy, policy=policy(task)) for policy in (OutputFeedback, IntegralFeedback))
+    with pytest.warns(SlowWarning, match="OutputFeedback has no constant .* so it rests elsewhere"):
+        policies = lqr_policies(without)
+    np.testing.assert_allclose(policies, lqr_policies(point_mass()), rtol=1e-5)
+    (theta, *_) = lqr_policies(integral, integral_weight=1.0)
+    calm = replace(integral, bias=ZeroBias(2))
+    np.testing.assert_allclose(theta, lqr_policies(calm, integral_weight=1.0)[0], rtol=1e-5)
+
+
 class Aimed(Elsewhere):
     """A goal about the position alone, or about an output of it, which is nowhere among the states."""
 

@@ -77,8 +77,8 @@ class Posterior(Identification):
         Further durations in s of predictions, as what differs little in a short while may differ much in a
         long one. Each window counts alike; durations that no experiment has do not count.
     smoothing
-        Each prediction begins at a smoothed state, from those at most so many s before and after
-        (`simbias.learning.noise.smoothed`). Without it, noise of velocities is mistaken for damping where
+        Each prediction of measured states begins at a smoothed one, from those at most so many s before and
+        after (`simbias.learning.noise.smoothed`). Without it, noise of velocities is mistaken for damping where
         friction is dry. `identify`, `excite` and `--recover` take 0.05 s at least. 0, of published trials:
         predictions begin at states as they were measured.
     differences
