@@ -78,9 +78,9 @@ class Posterior(Identification):
         long one. Each window counts alike; durations that no experiment has do not count.
     smoothing
         Each prediction of measured states begins at a smoothed one, from those at most so many s before and
-        after (`simbias.learning.noise.smoothed`). Without it, noise of velocities is mistaken for damping where
-        friction is dry. `identify`, `excite` and `--recover` take 0.05 s at least. 0, of published trials:
-        predictions begin at states as they were measured.
+        after (`simbias.learning.noise.smoothed`). Without it, noise of velocities is mistaken for damping
+        where friction is dry. `identify`, `excite` and `--recover` take 0.05 s at least. 0, of published
+        trials: predictions begin at states as they were measured.
     differences
         That the covariance is computed from. Under strong motion only central ones tell what experiments do
         not determine; `identify`, `excite` and `--recover` always take these. Forward ones are quicker, may
