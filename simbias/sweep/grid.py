@@ -275,7 +275,7 @@ def _report(spec: Mapping[str, Any], axes: Sequence[Axis]) -> Report:
         "columns": NotRequired[str | None],
         "measures": NotRequired[list[Measure]],
         "paper": NotRequired[dict[Any, Any]],
-        "bar": NotRequired[Share],
+        "bar": NotRequired[Annotated[Share, Field(lt=1)]],
     }
     checked = validate(spec, fields, "sweep.report")
     columns = checked.get("columns")

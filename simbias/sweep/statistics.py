@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
+from statistics import NormalDist
 
 import numpy as np
 
@@ -24,6 +25,11 @@ AT_ONCE = 1_000_000  # numbers drawn, so that a large cell takes no more memory 
 def holds(episodes: str, bar: float = BAR) -> bool:
     """Whether the lower Wilson limit of a policy's test episodes, "101" of three, is above the bar."""
     return bool(episodes) and wilson(episodes.count("1"), len(episodes)).low > bar
+
+
+def episodes_needed(bar: float = BAR) -> int:
+    """The fewest test episodes, all passed, of a policy that holds."""
+    return int(NormalDist().inv_cdf(0.5 + CONFIDENCE / 2) ** 2 * bar / (1.0 - bar)) + 1
 
 
 def passed(test_episodes: str, lasting_episodes: str) -> str:

@@ -14,7 +14,7 @@ from simbias.core.messages import counted
 from simbias.core.proportions import CONFIDENCE, wilson
 from simbias.sweep.axes import Axis
 from simbias.sweep.grid import Sweep
-from simbias.sweep.statistics import holds, interval, passed
+from simbias.sweep.statistics import episodes_needed, holds, interval, passed
 
 BLANK = "–"  # noqa: RUF001  where there is no number
 RELIABLE = 0.9  # success rate from which a policy counts as reliable
@@ -40,7 +40,8 @@ def cells(trials: pd.DataFrame, sweep: Sweep) -> pd.DataFrame:
     none. Means too are `hardware_seconds`, `success_rate`, the share of test episodes in which the last
     policies succeed (where the task has no success of its own: last), `reliable`, the share of trials in
     which this is at least RELIABLE, and `long_success_rate`, the share of long test episodes that last to
-    their end. Of `tested` last policies, `holding` pass the report's bar (`simbias.sweep.statistics.holds`).
+    their end. Of `tested` last policies, with as many episodes as it takes, `holding` pass the report's bar
+    (`simbias.sweep.statistics.holds`).
     """
     names = [axis.name for axis in sweep.axes]
     trials_of: dict[tuple[str, ...], list[dict[Any, Any]]] = {cell.labels: [] for cell in sweep.cells}
@@ -64,9 +65,10 @@ def _measures(trials: Sequence[Mapping[str, Any]], bar: float) -> list[float]:
     tested = [trial for trial in ended if trial["test_episodes"]]
     rates = [success_rate(trial["test_episodes"]) for trial in tested]
     reliable = [float(rate >= RELIABLE) for rate in rates]
-    holding = [holds(passed(trial["test_episodes"], trial["lasting_episodes"]), bar) for trial in tested]
-    tests = (_mean(seconds), _mean(rates), _mean(reliable), len(tested), sum(holding), _mean(long))
-    return [*counts, _mean(experiments), *interval(experiments), _mean(iterations), *tests]
+    tests = [passed(trial["test_episodes"], trial["lasting_episodes"]) for trial in tested]
+    holding = [holds(test, bar) for test in tests if len(test) >= episodes_needed(bar)]
+    means = (_mean(seconds), _mean(rates), _mean(reliable), len(holding), sum(holding), _mean(long))
+    return [*counts, _mean(experiments), *interval(experiments), _mean(iterations), *means]
 
 
 def numbers_of_episodes(tests: Iterable[str]) -> str:
@@ -183,9 +185,17 @@ def plain(arrangement: Layout) -> str:
 
 def left_out(outcomes: Iterable[str]) -> str:
     """A sentence on trials that raised an error, behind others; "" where none did."""
-    raised = [*outcomes].count("error")
-    verb = "is" if raised == 1 else "are"
-    return f" {counted(raised, 'trial')} raised an error and {verb} left out." * bool(raised)
+    return _left_out([*outcomes].count("error"), "raised an error")
+
+
+def untested(tests: Iterable[str]) -> str:
+    """Likewise on trials that ended without a test of their last policy."""
+    return _left_out([*tests].count(""), "ended without a test")
+
+
+def _left_out(count: int, why: str) -> str:
+    """A sentence on so many trials; "" if there is none."""
+    return f" {counted(count, 'trial')} {why} and {'is' if count == 1 else 'are'} left out." * bool(count)
 
 
 def legend(sweep: Sweep, trials: pd.DataFrame) -> str:
@@ -203,11 +213,15 @@ def _of_tests(sweep: Sweep, trials: pd.DataFrame) -> str:
     count = numbers_of_episodes(trials["test_episodes"])
     if not count:
         return ""
+    needed = episodes_needed(sweep.report.bar)
+    few = any(0 < len(episodes) < needed for episodes in trials["test_episodes"])
     texts = {
         "success_rate": f"mean share of {count} test episodes in which a trial's last policy {sweep.success}",
         "reliable": f"share of trials where that is at least {RELIABLE:.0%}",
         "holds": "last policies of which the share of test episodes passed, long ones to their end, has a "
-        f"lower Wilson limit above {sweep.report.bar:.0%}",
+        f"lower Wilson limit above {sweep.report.bar:.0%}"
+        + f" (of those with the {needed} episodes it takes)"
+        * few,
         "long_success_rate": "mean share of long test episodes that last to their end",
     }
     shown = [f"{name}: {words}" for name, words in texts.items() if name in sweep.report.measures]

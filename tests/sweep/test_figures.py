@@ -47,12 +47,12 @@ def test_comparisons_numbers_are_those_of_the_trials() -> None:
     sweep = expand([f"+sweep={{trials: 3, common_seeds: [method], axes: {axes}}}"])
 
     def made_up(texts: dict[str, list[str]]) -> SweptTrials:
-        """Trials whose last policies last in these test episodes; an error where there is no text."""
+        """Trials whose last policies last in these test episodes, untested with "-"; an error where there is none."""
         rows = [
             {"cell": "cart-pole", "method": method, "hash": trial.hash, "repetition": trial.repetition}
             | {"experiments": 2.0 + trial.repetition if text else np.nan}
             | {"outcome": "succeeded" if text else "error"}
-            | {"test_episodes": text, "lasting_episodes": text}
+            | dict.fromkeys(("test_episodes", "lasting_episodes"), text.strip("-"))
             for trial in sweep.trials
             if (method := trial.cell.labels[1]) in texts
             for text in [texts[method][trial.repetition]]
@@ -72,7 +72,7 @@ def test_comparisons_numbers_are_those_of_the_trials() -> None:
     assert numbers.loc["ideal", "p LQI"] == pytest.approx(2 * 2 * 0.5**3)  # three pairs of two tests
     assert numbers.loc["ideal", "holds_low"] == pytest.approx(0.438, abs=1e-3)
     assert "the last policy lasts without a failure, long ones to their end" in picture.caption
-    assert picture.caption.endswith("Most trials hold by ideal 3 of 3 (44% to 100%).")
+    assert picture.caption.endswith(" Policies hold most often with ideal 3 of 3 (44% to 100%).")
     picture_of_two = Comparison("method").draw(made_up({"ideal": [half, all_of_16, all_of_16]}), ())
     (curve,) = picture_of_two.figure.axes[-1].lines
     assert np.asarray(curve.get_ydata()).tolist() == pytest.approx([0, 1 / 3, 2 / 3, 2 / 3])  # of all trials
@@ -83,9 +83,25 @@ def test_comparisons_numbers_are_those_of_the_trials() -> None:
     none = Comparison("method").draw(made_up({"LQI": [fallen] * 3}), ())
     assert none.caption.endswith(" No trial ends with a policy that holds.")
     tie = Comparison("method").draw(made_up({"LQI": [all_of_16, "", ""], "ideal": [all_of_16] * 3}), ())
-    assert "by LQI 1 of 1 (21% to 100%), ideal 3 of 3 (44% to 100%)." in tie.caption
+    assert "hold equally often with LQI 1 of 1 (21% to 100%), ideal 3 of 3 (44% to 100%)." in tie.caption
     crashed = Comparison("method", ["LQR"]).draw(made_up({"LQR": [""] * 3, "ideal": [half] * 3}), ())
     assert crashed.numbers["method"].tolist() == ["ideal"]
+    assert crashed.caption.endswith(" All trials of LQR are left out.")
+    later = {"LQI": ["-", all_of_16, all_of_16], "ideal": ["-", "1" * 15, all_of_16], "LQR": ["1" * 15] * 3}
+    partly = Comparison("method", ["LQI", "LQR"]).draw(made_up(later), ())
+    numbers = partly.numbers.set_index("method")
+    assert numbers["mean_share"].tolist() == [1.0] * 3
+    assert numbers[["trials", "raised", "judged", "holds"]].to_dict("list") == {
+        **{"trials": [3, 2, 2], "raised": [0, 0, 0]},
+        **{"judged": [0, 2, 1], "holds": [0, 2, 1]},
+    }
+    assert numbers["p LQI"].dropna().to_dict() == {"ideal": 1.0}
+    assert numbers["p LQR"].isna().all()  # of policies that cannot hold
+    assert "takes 16 test episodes: 4 trials have fewer and do not count" in partly.caption
+    assert partly.caption.endswith(" 2 trials ended without a test and are left out.")
+    short = Comparison("method").draw(made_up({"LQI": ["1" * 10] * 3}), ())
+    assert short.numbers[["holds_low", "holds_high"]].isna().all(axis=None)
+    assert short.caption.endswith("one below the other.")
     alone = replace(made_up(texts), sweep=replace(sweep, axes=sweep.axes[1:]))  # no axis beside the methods
     pd.testing.assert_frame_equal(Comparison("method", ["LQI"]).draw(alone, ()).numbers, picture.numbers)
     with pytest.raises(FigureError, match="no trial of the sweep ran to an end"):
@@ -112,11 +128,12 @@ def test_last_policies_are_dots_that_no_other_hides() -> None:
         ]
         return swept(sweep, [*rows, raised])
 
-    starts = {"slope 0.02 rad": ["1111", "1100"], "slope 0.05 rad": ["0000", "111111"]}
+    starts = {"slope 0.02 rad": ["1111", "1100"], "slope 0.05 rad": ["0000", "111111", ""]}
     picture = LastPolicies().draw(made_up(starts), ())
     assert picture.numbers["success_rate"].tolist() == pytest.approx([1, 1 / 2, 0, 1])
     assert picture.numbers["experiments"].tolist() == [4, 5, 4, 5]
-    shown = "of 4 to 6 test episodes", "2/4 [15%, 85%] trials end", "in 0 of 2 cells"
+    shown = ("of 4 to 6 test episodes", "2/4 [15%, 85%] trials end", "in 0 of 2 cells")
+    shown += (" 1 trial ended without a test and is left out.",)
     for words in ("experiments until success, without it all", "lasts without a failure", *shown):
         assert words in picture.caption
     with pytest.raises(FigureError, match=r"policy_test\.episodes=20"):

@@ -2,6 +2,7 @@
 
 import runpy
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -14,6 +15,7 @@ from simbias.sweep import results
 from simbias.sweep.grid import Sweep, expand
 from simbias.sweep.statistics import (
     bootstrap,
+    episodes_needed,
     holds,
     holm,
     interquartile_mean,
@@ -32,9 +34,21 @@ def smoke() -> Sweep:
     return expand(["+sweep=smoke", "sweep.trials=3"])
 
 
-def test_sixteen_of_sixteen_hold_and_fifteen_do_not() -> None:
+def test_sixteen_of_sixteen_hold_and_fifteen_do_not(smoke: Sweep) -> None:
+    """A table tells of no policy with fewer episodes whether it holds."""
     assert all(holds(text) for text in ("1" * 16, "1" * 25 + "0"))
     assert not any(holds(text) for text in ("1" * 15, "1" * 15 + "0", ""))
+    assert episodes_needed() == 16
+    assert [holds("1" * (episodes_needed(bar) - less), bar) for bar in (0.1, 0.95) for less in (0, 1)] == [
+        *(True, False),
+        *(True, False),
+    ]
+    sweep = replace(smoke, report=replace(smoke.report, measures=("holds",)))
+    frame = made_up(sweep).assign(test_episodes="1" * 10)
+    assert [row[-1] for row in layout(cells(frame, sweep), sweep).body] == ["–"] * 2  # noqa: RUF001
+    assert "(of those with the 16 episodes it takes)" in legend(sweep, frame)
+    frame.loc[0, "test_episodes"] = "1" * 16
+    assert [row[-1] for row in layout(cells(frame, sweep), sweep).body] == ["1/1 [21%, 100%]", "–"]  # noqa: RUF001
 
 
 @pytest.mark.slow

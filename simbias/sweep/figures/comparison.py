@@ -22,6 +22,7 @@ from simbias.sweep.figure import UNTESTED, FigureError, Picture, SweepFigure, Sw
 from simbias.sweep.grid import Sweep
 from simbias.sweep.statistics import (
     bootstrap,
+    episodes_needed,
     holds,
     holm,
     interquartile_mean,
@@ -30,6 +31,7 @@ from simbias.sweep.statistics import (
     probability_of_improvement,
     sign_test,
 )
+from simbias.sweep.tables import untested
 
 WIDTH, ROW, CURVES, REST = 11.0, 0.24, 3.2, 2.6  # in: of the figure, of a method, of the curves, of all else
 LETTERS = 40  # of a line of a method's name
@@ -44,9 +46,10 @@ class Comparison(SweepFigure):
 
     A trial's score is the share of its test episodes that its last policy passes: they succeed, and last to
     their end. It counts as a success where that policy holds (`simbias.sweep.statistics.holds`). Trials that
-    raised an error are left out. Above: mean score in each cell, and the interquartile mean with its
-    bootstrap interval over cells; of a single cell there is none. Below: performance profiles, and the share
-    of trials that are a success within so many experiments.
+    raised an error or ended without a test are left out, and where `holds` counts those with fewer episodes
+    than it takes. Above: mean score in each cell, and the interquartile mean with its bootstrap interval over
+    cells; of a single cell there is none. Below: performance profiles, and the share of trials that are a
+    success within so many experiments.
 
     Parameters
     ----------
@@ -94,16 +97,20 @@ class Comparison(SweepFigure):
                 numbers = numbers.join(_against(own, own[name]).add_suffix(f" {name}"), on="method")
         curves = {name: own[name] for name in (self._curves or [*own][:MOST]) if name in own}
         figure = _figure(own, numbers, curves)
-        return Picture(figure, numbers, _caption(numbers, trials.sweep))
+        caption = _caption(numbers, trials.sweep)
+        if gone := [str(name) for name in groups.groups if name not in own]:
+            caption += f" All trials of {', '.join(gone)} are left out."
+        return Picture(figure, numbers, caption + untested(row["test_episodes"] for row in trials.rows))
 
 
 def _scored(table: pd.DataFrame, bar: float) -> pd.DataFrame:
-    """The trials, with what their last policies hold; the score of those that raised is nan."""
+    """The trials, with what their last policies hold; nan of those that do not count."""
     tests = [*map(passed, table["test_episodes"], table["lasting_episodes"])]
-    scores = np.array([text.count("1") / len(text) if text else 0.0 for text in tests])
+    scores = np.array([text.count("1") / len(text) if text else np.nan for text in tests])
+    needed = episodes_needed(bar)
     return table.assign(
         score=np.where(table["outcome"] == "error", np.nan, scores),
-        holds=[holds(text, bar) for text in tests],
+        holds=[holds(text, bar) if len(text) >= needed else np.nan for text in tests],
     )
 
 
@@ -112,7 +119,7 @@ class _Method:
 
     def __init__(self, trials: pd.DataFrame, others: list[str]) -> None:
         self.trials = trials[trials["score"].notna()].set_index([*others, "repetition"])
-        self.raised = len(trials) - len(self.trials)
+        self.raised = int((trials["outcome"] == "error").sum())
         grouped: Any = trials.groupby(others, sort=False) if others else [((), trials)]
         cells = {name: own["score"].to_numpy() for name, own in grouped}  # by the labels of the others
         repetitions = min(map(len, cells.values()))
@@ -122,14 +129,15 @@ class _Method:
 
     def row(self, name: str) -> dict[str, Any]:
         """The method in numbers."""
-        held, count = int(self.trials["holds"].sum()), len(self.trials)
+        held, judged = int(self.trials["holds"].sum()), int(self.trials["holds"].count())
         scores = self.scores[:, self.tried]
         low, high = bootstrap(interquartile_mean, scores)
-        least, most = wilson(held, count)
+        least, most = wilson(held, judged)
         return {
             "method": name,
-            "trials": count,
+            "trials": len(self.trials),
             "raised": self.raised,
+            "judged": judged,
             "holds": held,
             "holds_low": least,
             "holds_high": most,
@@ -151,24 +159,30 @@ def _against(methods: dict[str, _Method], reference: _Method) -> pd.DataFrame:
         both = method.scores[:, tried], reference.scores[:, tried]
         low, high = bootstrap(probability_of_improvement, *both)
         rows[name] = {"better": probability_of_improvement(*both), "better_low": low, "better_high": high}
-        pairs = method.trials["holds"].astype(float) - reference.trials["holds"].astype(float)
-        p[name] = sign_test(pairs.dropna().tolist())
+        pairs = (method.trials["holds"].astype(float) - reference.trials["holds"].astype(float)).dropna()
+        if len(pairs):
+            p[name] = sign_test(pairs.tolist())
     table = pd.DataFrame.from_dict(rows, orient="index")
-    return table.assign(p=pd.Series(holm(p)))
+    return table.assign(p=pd.Series(holm(p), dtype=float))
 
 
 def _caption(numbers: pd.DataFrame, sweep: Sweep) -> str:
     """The caption, from the numbers."""
-    shares = numbers["holds"] / numbers["trials"]
+    shares = numbers["holds"] / numbers["judged"]
     best = numbers[shares == shares.max()].to_dict("records")
-    held = ", ".join(f"{row['method']} {counted_share(row['holds'], row['trials'])}" for row in best)
-    most = f"Most trials hold by {held}" if shares.any() else "No trial ends with a policy that holds"
+    held = ", ".join(f"{row['method']} {counted_share(row['holds'], row['judged'])}" for row in best)
+    alike = len(best) == shares.count() > 1
+    most = f" Policies hold {'equally' if alike else 'most'} often with {held}."
+    if not shares.any():
+        most = " No trial ends with a policy that holds." * bool(shares.count())
+    few = int((numbers["trials"] - numbers["judged"]).sum())
+    takes = f", which takes {episodes_needed(sweep.report.bar)} test episodes: {few} trials have fewer and do not count"
     return (
         f"Above: share of test episodes in which the last policy {sweep.success}, long ones to their end, "
         "mean of each cell; at the right the interquartile mean, with its 95% bootstrap interval over cells. "
         "Below: share of trials with more than so much; share of trials that end within so many experiments "
-        f"with a policy that holds (lower Wilson limit above {sweep.report.bar:.0%}); curves that are the "
-        f"same lie one below the other. {most}."
+        f"with a policy that holds (lower Wilson limit above {sweep.report.bar:.0%}{takes * bool(few)}); "
+        f"curves that are the same lie one below the other.{most}"
     )
 
 
@@ -227,10 +241,14 @@ def _draw_curves(figure: SubFigure, methods: dict[str, _Method]) -> None:
         style = {"color": color, "marker": marker, "markersize": 4, "linewidth": 1.4}
         profile = performance_profile(method.scores, THRESHOLDS)
         handles[name] = _draw_curve(left, THRESHOLDS, profile, markevery=(2 * index, 20), **style)
-        held = method.trials.loc[method.trials["holds"], "experiments"]
-        experiments, counts = np.unique(held.to_numpy(dtype=float), return_counts=True)
-        share = np.cumsum([0, *counts, 0]) / len(method.trials)
-        _draw_curve(right, np.array([0.0, *experiments, most]), share, drawstyle="steps-post", **style)
+        if judged := method.trials["holds"].count():
+            held = method.trials.loc[method.trials["holds"] == 1, "experiments"]
+            experiments, counts = np.unique(held.to_numpy(dtype=float), return_counts=True)
+            share = np.cumsum([0, *counts, 0]) / judged
+            _draw_curve(right, np.array([0.0, *experiments, most]), share, drawstyle="steps-post", **style)
+    if not right.lines:
+        right.text(0.5, 0.5, "too few test episodes", transform=right.transAxes, ha="center")
+        right.set_xticks([])
     left.set_xlabel("test episodes passed")
     left.set_ylabel("trials with more")
     left.xaxis.set_major_formatter(PercentFormatter(1.0))

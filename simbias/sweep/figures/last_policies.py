@@ -19,7 +19,7 @@ from simbias.pictures.elements.layout import legend
 from simbias.pictures.elements.style import HARDWARE, LIMIT, SIMULATION, literal, plain
 from simbias.sweep.batches import Outcomes
 from simbias.sweep.figure import UNTESTED, FigureError, Picture, SweepFigure, SweptTrials
-from simbias.sweep.tables import RELIABLE, numbers_of_episodes, share, success_rate
+from simbias.sweep.tables import RELIABLE, numbers_of_episodes, share, success_rate, untested
 from simbias.trial.policy_test import LASTS
 
 ROW, REST, WIDTH = 0.3, 1.1, 7.2  # in, of a cell and of all else
@@ -47,7 +47,7 @@ class LastPolicies(SweepFigure):
         FigureError
             If no policy was tested.
         """
-        rows = [row for row in trials.rows if row.get("test_episodes")]
+        rows = [row for row in trials.rows if row["test_episodes"]]
         if not rows:
             raise FigureError(UNTESTED)
         cells = [cell.labels for cell in trials.sweep.cells]
@@ -65,7 +65,8 @@ class LastPolicies(SweepFigure):
         success = trials.sweep.success
         words = "test episodes that last" if success == LASTS else "success rate of the last policy"
         figure = _figure(numbers, [" ".join(labels) for labels in cells], words)
-        return Picture(figure, numbers, _caption(numbers, episodes, success))
+        caption = _caption(numbers, episodes, success) + untested(row["test_episodes"] for row in trials.rows)
+        return Picture(figure, numbers, caption)
 
 
 def _caption(numbers: pd.DataFrame, episodes: str, success: str) -> str:
