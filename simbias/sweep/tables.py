@@ -215,13 +215,12 @@ def _of_tests(sweep: Sweep, trials: pd.DataFrame) -> str:
         return ""
     needed = episodes_needed(sweep.report.bar)
     few = any(0 < len(episodes) < needed for episodes in trials["test_episodes"])
+    takes = f" (of those with the {needed} episodes it takes)" * few
     texts = {
         "success_rate": f"mean share of {count} test episodes in which a trial's last policy {sweep.success}",
         "reliable": f"share of trials where that is at least {RELIABLE:.0%}",
         "holds": "last policies of which the share of test episodes passed, long ones to their end, has a "
-        f"lower Wilson limit above {sweep.report.bar:.0%}"
-        + f" (of those with the {needed} episodes it takes)"
-        * few,
+        f"lower Wilson limit above {sweep.report.bar:.0%}{takes}",
         "long_success_rate": "mean share of long test episodes that last to their end",
     }
     shown = [f"{name}: {words}" for name, words in texts.items() if name in sweep.report.measures]

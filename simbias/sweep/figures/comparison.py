@@ -176,12 +176,13 @@ def _caption(numbers: pd.DataFrame, sweep: Sweep) -> str:
     if not shares.any():
         most = " No trial ends with a policy that holds." * bool(shares.count())
     few = int((numbers["trials"] - numbers["judged"]).sum())
-    takes = f", which takes {episodes_needed(sweep.report.bar)} test episodes: {few} trials have fewer and do not count"
+    needed = episodes_needed(sweep.report.bar)
+    takes = f", which takes {needed} test episodes: {few} trials have fewer and do not count" * bool(few)
     return (
         f"Above: share of test episodes in which the last policy {sweep.success}, long ones to their end, "
         "mean of each cell; at the right the interquartile mean, with its 95% bootstrap interval over cells. "
         "Below: share of trials with more than so much; share of trials that end within so many experiments "
-        f"with a policy that holds (lower Wilson limit above {sweep.report.bar:.0%}{takes * bool(few)}); "
+        f"with a policy that holds (lower Wilson limit above {sweep.report.bar:.0%}{takes}); "
         f"curves that are the same lie one below the other.{most}"
     )
 
