@@ -85,7 +85,7 @@ def seconds(task: Task, frame: int) -> float:
 def shade_beyond(axes: Axes, limit: float, words: str, side: Literal["left", "right"] = "right") -> None:
     """Mark a limit on the vertical axis and shade what lies beyond it; call it after all else is drawn.
 
-    The words are below the limit, at the side where nothing comes near it. An infinite limit is not drawn.
+    The words are below the limit, behind what is drawn. An infinite limit is not drawn.
     """
     from matplotlib.patheffects import withStroke
 
@@ -108,7 +108,7 @@ def shade_beyond(axes: Axes, limit: float, words: str, side: Literal["left", "ri
         va="top",
         fontsize=SMALL,
         color=LIMIT,
-        zorder=5,  # in front of dots, on white
+        zorder=0.5,
         path_effects=[withStroke(linewidth=2.0, foreground="white")],
     )
 
