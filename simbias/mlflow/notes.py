@@ -15,7 +15,7 @@ NOTE_LENGTH = 8000  # characters that MLflow keeps of a note
 SHOWN_ROWS = 40  # which fit into it
 MORE = "\n\n{} more rows are in `table.md` once the sweep has ended."
 REASON_LENGTH = 500
-ARTIFACTS = "Artifacts: `config.yaml`, `trial/` (searches, experiments, iterations), `pictures/`."
+ARTIFACTS = "Artifacts: `config.yaml`, `trial/` (searches, experiments, iterations), `pictures/` if drawn."
 Row = Mapping[str, Any]  # of an iteration: `simbias.trial.summary.iteration_summary`
 
 
