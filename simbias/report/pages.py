@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from simbias.config.stored import read_folder
 from simbias.core import markdown
 from simbias.core.errors import ConfigError
-from simbias.core.messages import printable
+from simbias.core.messages import counted, printable
 from simbias.core.proportions import counted_share, wilson
 from simbias.pictures.elements import html
 from simbias.pictures.elements.drawing import NoPictureError
@@ -118,6 +118,11 @@ def _sweep_parts(folder: SweepFolder, description: dict) -> Iterator[str]:
             yield html.heading(file.stem)
             yield html.image(file.read_bytes(), words)
             yield html.paragraph(words)
+            drawn = state.get("drawn", {}).get(file.stem, counts.total())
+            if drawn != counts.total():
+                yield html.paragraph(
+                    f"Drawn of {counted(drawn, 'trial')}; once all have ended, it is drawn anew."
+                )
             if (numbers := file.with_suffix(".csv")).is_file():
                 frame = pd.read_csv(numbers, dtype=str, keep_default_na=False)
                 told = frame.loc[:, (frame != "").any()]  # not of what no cell has

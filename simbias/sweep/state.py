@@ -77,6 +77,7 @@ class SweepState:
         self._platforms = Counter(filter(None, ran_on))  # trials of each
         drawn = self.folder.state().get("captions", {})  # by an earlier run, until they are drawn anew
         self._captions = {name: caption for name, caption in drawn.items() if name in sweep.figures}
+        self._drawn = dict(self.folder.state().get("drawn", {}))  # of how many trials each figure is
         self._due = 0.0
         self.export = Export()  # shows the sweep elsewhere, once MLflow is imported; that is not begun twice
         tell_what_is_in_clear(sweep.base.from_environment if store.folder else (), self.folder.path)
@@ -174,7 +175,7 @@ class SweepState:
 
     def publish(self, name: str, caption: str, files: Sequence[Path]) -> None:
         """Keep a figure and its caption."""
-        self._captions[name] = caption
+        self._captions[name], self._drawn[name] = caption, len(self._rows)
         self.folder.publish(files)
 
     def close(self, error: BaseException | None = None) -> None:
@@ -211,6 +212,7 @@ class SweepState:
             "table": arrangement,
             "legend": tables.legend(sweep, trials),
             "captions": self._captions,
+            "drawn": self._drawn,
         }
         files = {"trials.csv": results.csv(trials), "table.md": arrangement}
         files["table.csv"] = table.to_csv(index=False)

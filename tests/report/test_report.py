@@ -85,6 +85,7 @@ def test_the_page_and_the_note_have_what_was_identified(
     read = TrialFolder(folder)
     text = note(read.description(), read.iterations(), read.summary(), running=False)
     assert f"| {' | '.join(map(markdown.text, row))} |" in text
+    assert text.endswith("`pictures/` if drawn.")  # of most trials of a sweep, none are
 
 
 def test_what_files_say_is_text_and_never_markup(
@@ -131,11 +132,16 @@ def test_the_page_of_a_sweep(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     html = file.read_text()
     assert self_contained(html)
     said = ["2 of 2 trials have ended; of these succeeded", "&lt;script&gt;alert(1)&lt;/script&gt;"]
+    assert "Drawn of" not in html
     said += ["data:image/png;base64,", "preset=cartpole", "<th>succeeded</th>", "/1 ["]
     assert [words for words in said if words not in html] == []
     rows = re.findall("<tr>(<td>.*)</tr>", html)[:2]
     columns = np.array([re.findall("<td>(.*?)</td>", row) for row in rows])
     assert (columns != "").any(axis=0).all()  # none is empty
+    state = json.loads((file.parent / "state.json").read_text())
+    assert state["drawn"] == dict.fromkeys(state["captions"], 2)
+    write_json(file.parent / "state.json", state | {"drawn": dict.fromkeys(state["captions"], 1)})
+    assert "Drawn of 1 trial; once all have ended, it is drawn anew." in sweep_page(SweepFolder(file.parent))
 
 
 def test_claims_that_a_test_contradicts_are_counted(tmp_path: Path) -> None:
