@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
+from matplotlib.patheffects import withStroke
 
 from simbias.core import Task
 from simbias.core.ranges import Count
@@ -198,8 +199,12 @@ class BiasField(SweepFigure):
             f"{row['state']} {row['relative_mean']:.0%} ({row['relative_eq7']:.0%})" for row in rows
         )
         count, sampled = len(selection.transitions), selection.sampled
+        samples = f"{len(validation.data)} samples"
+        learned = f"The bias learned from {samples}"
+        if not validation.mean.any():
+            learned = f"The zero bias of the sweep's first trial, which learns nothing from its {samples}"
         return (
-            f"The bias learned from {len(validation.data)} samples, as velocities, against {experiments} "
+            f"{learned}, as velocities, against {experiments} "
             f"experiments from other starts ({count} samples; {sampled - count} more rejected as in "
             "learning). Root mean square of what the mean leaves of the residual, over that of the residual "
             f"itself (in brackets: with the weight of Eq. 7): {left}."
@@ -223,21 +228,20 @@ def _far_apart(points: Array, count: int) -> Array:
 
 def _draw_errors(axes: Axes, errors: pd.DataFrame) -> None:
     """The held-out error of every state, relative to the residual itself."""
-    x = np.arange(len(errors))
+    x, onto_white = np.arange(len(errors)), withStroke(linewidth=2.0, foreground="white")
     for aside, name, color, words in (
         (-0.2, "relative_mean", PREDICTION, "of the mean (Eq. 4)"),
         (0.2, "relative_eq7", "#E69F00", "of the weighted mean (Eq. 7)"),
     ):
         bars = axes.bar(x + aside, errors[name], 0.38, color=color, label=words)
-        axes.bar_label(bars, fmt="%.2f", fontsize=SMALL)
-    axes.axhline(1.0, color=TRUTH, linewidth=0.8)
-    axes.text(len(x) - 0.5, 1.01, "nominal model", ha="right", va="bottom", fontsize=SMALL)
+        axes.bar_label(bars, fmt=" %.2f", fontsize=SMALL, rotation=90, path_effects=[onto_white])
+    axes.axhline(1.0, color=TRUTH, linewidth=0.8, label="of the nominal model")
     ticks = [
         f"{symbol(row['state'])}\n{row['residual']:.1e}\n{row['unit']}" for row in errors.to_dict("records")
     ]
     axes.set_xticks(x, ticks, fontsize=SMALL)
     axes.set_xlabel("state, and the rms of its residual in a time step", fontsize=SMALL)
     axes.set_ylabel("held-out rms error / rms residual")
-    axes.legend(loc="upper left", frameon=False, fontsize=SMALL)
-    axes.set_ylim(0.0, 1.15 * max(1.0, errors[["relative_mean", "relative_eq7"]].to_numpy().max()) + 0.1)
+    axes.legend(loc="upper left", frameon=False, fontsize=SMALL, ncols=2)
+    axes.set_ylim(0.0, 1.4 * max(1.0, errors[["relative_mean", "relative_eq7"]].to_numpy().max()))
     plain(axes)

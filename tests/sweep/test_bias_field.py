@@ -1,5 +1,6 @@
 """Fig. 5: what is learned, against experiments that it was not learned from."""
 
+import itertools
 from copy import copy
 from dataclasses import replace
 from typing import NamedTuple
@@ -92,13 +93,20 @@ def test_what_is_learned_predicts_what_was_not_seen(trial: Trial, picture: Pictu
     assert len(hardware.starts) == len(set(hardware.starts)) == 4 + 2 * EXPERIMENTS
     first, last = trial.iterations
     last = replace(last, model=first.model)  # which nothing was learned for
-    nothing = picture_of(trial._replace(iterations=(first, last))).numbers
+    zero = picture_of(trial._replace(iterations=(first, last)))
+    nothing = zero.numbers
+    assert "learns nothing" in zero.caption
+    assert "learns nothing" not in picture.caption
     assert nothing["relative_mean"].tolist() == nothing["relative_eq7"].tolist() == [1.0] * 6
     assert nothing["residual"].to_numpy() == pytest.approx(errors["residual"].to_numpy())
 
 
 def test_arrows_are_velocities(trial: Trial, picture: Picture) -> None:
     """All arrows stand for the same time, in which the bias of the angles would carry the state along."""
+    picture.figure.draw_without_rendering()
+    values = [text.get_window_extent() for text in picture.figure.axes[3].texts]
+    assert len(values) == 12
+    assert not any(one.overlaps(other) for one, other in itertools.combinations(values, 2))
     panels = [axes for axes in picture.figure.axes if axes.collections]
     assert len(panels) == 3
     data, truth, prediction = panels[0].collections[:3]
