@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from simbias.trial.run import TrialRecord
 
 COLOURS = "cividis"  # even to the colour-blind, and in grey
-PANEL, ASIDE = 3.3, 2.6  # widths of a map and of the rates beside the maps, in
+PANEL, ASIDE, HEIGHT = 3.3, 2.6, 4.2  # widths of a map and of the rates beside the maps, height of both, in
+MOST_IN_A_ROW, LINE = 3, 32  # maps; characters of a map's title
 
 
 @dataclass(frozen=True)
@@ -135,11 +136,16 @@ class SuccessRates(SweepFigure):
         return starts
 
     def _figure(self, numbers: pd.DataFrame) -> Figure:
-        """A map for each cell, and beside them the rate of every policy over the whole grid."""
+        """A map for each cell, and the rate of every policy over the whole grid beside or below them."""
         cells = [own for _, own in numbers.groupby("cell", sort=False)]
-        widths = [*[PANEL] * len(cells), ASIDE]
-        figure = Figure(figsize=(sum(widths) + 0.8, 4.2), layout="constrained")
-        *maps, aside = figure.subplots(1, len(widths), width_ratios=widths)
+        columns = min(len(cells), MOST_IN_A_ROW)
+        rows = -(-len(cells) // columns)
+        widths, below = [*[PANEL] * columns, ASIDE][: columns + (rows == 1)], int(rows > 1)
+        size = sum(widths) + 0.8, HEIGHT * (rows + below)
+        figure = Figure(figsize=size, layout="constrained")
+        grid = figure.add_gridspec(rows + below, len(widths), width_ratios=widths)
+        maps = [figure.add_subplot(grid[divmod(index, columns)]) for index in range(len(cells))]
+        aside = figure.add_subplot(grid[-1, :] if below else grid[0, -1])
         quantities = {quantity.name: quantity for quantity in self._task.states}
         for axes, own in zip(maps, cells, strict=True):
             sums = own.groupby([self._y.state, self._x.state])[["succeeded", "experiments"]].sum()
@@ -157,7 +163,7 @@ class SuccessRates(SweepFigure):
                 xlabel=label(quantities[self._x.state]),
                 ylabel=label(quantities[self._y.state]),
             )
-            axes.set_title(literal(own["cell"].iloc[0]), fontsize="medium")
+            axes.set_title(fill(literal(own["cell"].iloc[0]), LINE), fontsize="medium")
         figure.colorbar(mesh, ax=maps, label="success rate", pad=0.02)
         _draw_policies(aside, cells)
         return figure
@@ -180,7 +186,7 @@ class SuccessRates(SweepFigure):
             f"over starts at {self._x.points} x {self._y.points} values of {self._x.state} and "
             f"{self._y.state}. {'; '.join(sentences)}. There are {n} experiments from each start: a "
             f"{CONFIDENCE:.0%} Wilson interval reaches at most {half:.2f} to either side of its middle. "
-            "Right: each policy over the whole grid, with its interval."
+            "Last panel: each policy over the whole grid, with its interval."
         )
 
 
@@ -208,7 +214,7 @@ def _draw_policies(axes: Axes, cells: Sequence[pd.DataFrame]) -> None:
     """Rates of the policies, side by side for each cell."""
     for index, own in enumerate(cells):
         policies = _of_policies(own)
-        x = index + np.linspace(-0.3, 0.3, len(policies))
+        x = index + 0.6 * ((np.arange(len(policies)) + 0.5) / len(policies) - 0.5)
         spread = [policies["rate"] - policies["low"], policies["high"] - policies["rate"]]
         axes.errorbar(x, policies["rate"], spread, fmt="none", ecolor="0.5", capsize=2, zorder=1)
         success = (policies["learning"] == "succeeded").to_numpy()
@@ -218,11 +224,12 @@ def _draw_policies(axes: Axes, cells: Sequence[pd.DataFrame]) -> None:
         ):
             if mask.any():
                 axes.plot(x[mask], policies["rate"][mask], marker, color=color, label=words, clip_on=False)
-    names = [fill(own["cell"].iloc[0], 14) for own in cells]
+    names = [fill(literal(own["cell"].iloc[0]), 14) for own in cells]
     axes.set_xticks(range(len(cells)), names, fontsize=SMALL)
     axes.set_xlim(-0.6, len(cells) - 0.4)
     highest = max(_of_policies(own)["high"].max() for own in cells)
     axes.set_ylim(0.0, 1.3 * highest)  # room for the legend
+    axes.set_yticks([tick for tick in axes.get_yticks() if tick <= 1.0])
     handles, entries = axes.get_legend_handles_labels()
     unique = dict(zip(entries, handles, strict=True))
     axes.legend(unique.values(), unique.keys(), frameon=False, fontsize=SMALL, loc="upper right")

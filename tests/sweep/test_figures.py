@@ -11,12 +11,15 @@ import pytest
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
+from simbias.config.build import build
 from simbias.pictures.elements.layout import legend
+from simbias.sweep.batches import Outcomes
 from simbias.sweep.figure import FigureError, SweptTrials
 from simbias.sweep.figures.comparison import Comparison
 from simbias.sweep.figures.costs import Costs
 from simbias.sweep.figures.experiments import Experiments
 from simbias.sweep.figures.last_policies import LastPolicies
+from simbias.sweep.figures.success_rates import Range, SuccessRates
 from simbias.sweep.grid import Sweep, expand
 from simbias.sweep.results import LATER
 
@@ -47,7 +50,7 @@ def test_comparisons_numbers_are_those_of_the_trials() -> None:
     sweep = expand([f"+sweep={{trials: 3, common_seeds: [method], axes: {axes}}}"])
 
     def made_up(texts: dict[str, list[str]]) -> SweptTrials:
-        """Trials whose last policies last in these test episodes, untested with "-"; an error where there is none."""
+        """Trials whose last policies last in these test episodes, "-" untested; an error where none is."""
         rows = [
             {"cell": "cart-pole", "method": method, "hash": trial.hash, "repetition": trial.repetition}
             | {"experiments": 2.0 + trial.repetition if text else np.nan}
@@ -91,10 +94,8 @@ def test_comparisons_numbers_are_those_of_the_trials() -> None:
     partly = Comparison("method", ["LQI", "LQR"]).draw(made_up(later), ())
     numbers = partly.numbers.set_index("method")
     assert numbers["mean_share"].tolist() == [1.0] * 3
-    assert numbers[["trials", "raised", "judged", "holds"]].to_dict("list") == {
-        **{"trials": [3, 2, 2], "raised": [0, 0, 0]},
-        **{"judged": [0, 2, 1], "holds": [0, 2, 1]},
-    }
+    counts = numbers[["trials", "raised", "judged", "holds"]]
+    assert counts.to_numpy().tolist() == [[3, 0, 0, 0], [2, 0, 2, 2], [2, 0, 1, 1]]
     assert numbers["p LQI"].dropna().to_dict() == {"ideal": 1.0}
     assert numbers["p LQR"].isna().all()  # of policies that cannot hold
     assert "takes 16 test episodes: 4 trials have fewer and do not count" in partly.caption
@@ -238,10 +239,34 @@ def test_eight_series_are_told_from_each_other() -> None:
         assert sum(bool(axes.lines) for axes in figure.axes) == cells
         shaded = [axes.patches[0] for axes in figure.axes[:cells]]
         assert [each.get_y() for each in shaded] == [100.0 * (1 + cell) for cell in range(cells)]
+        data = (line.zorder for axes in figure.axes for line in axes.lines[:-1])
+        assert max(text.zorder for axes in figure.axes for text in axes.texts) < min(data)
         top = figure.axes[0].get_ylim()[1]
         assert all(each.get_y() + each.get_height() >= 0.99 * top for each in shaded)
         assert figure.get_figwidth() < 15.0
         assert figure.axes[cells - 1].get_xlabel() == "iteration (trials side by side)"
+
+
+def test_maps_of_many_cells_are_in_rows() -> None:
+    """Their titles do not overlap, and rates of one policy stand above their tick, on an axis up to 1."""
+    points = ", ".join(f"{'much noise ' * 6}{n}: {{hardware.inertia_error: 0.{n}}}" for n in range(1, 7))
+    sweep = expand([f"+sweep={{trials: 1, axes: {{noise: {{points: {{{points}}}}}}}}}"])
+    labels = sweep.axes[0].labels
+    ranges = Range("alpha_w", -0.1, 0.1, 2), Range("alpha_b", -0.1, 0.1, 2)
+    rates = SuccessRates(build(sweep.base).task, sweep.cells, *ranges, 1, labels[0])
+    rows = [{"noise": label, "repetition": 0, "outcome": "succeeded"} for label in labels]
+    outcomes = [Outcomes((), (), (), (True,) * 4)] * 6
+    figure = rates.draw(swept(sweep, rows), outcomes).figure
+    figure.draw_without_rendering()
+    *maps, aside = (axes for axes in figure.axes if axes.get_title())
+    titles = [axes.title.get_window_extent() for axes in (*maps, aside)]
+    ticks = [tick.get_window_extent() for tick in aside.get_xticklabels()]
+    for texts in (titles, ticks):
+        assert not any(one.overlaps(other) for one, other in itertools.combinations(texts, 2))
+    assert len(maps) == len(ticks) == 6
+    assert figure.get_figwidth() < 12.0
+    assert [line.get_xdata()[0] for line in aside.lines if line.get_marker() == "o"] == [*range(6)]
+    assert max(aside.get_yticks()) == 1.0
 
 
 def test_labels_longer_than_the_figure_are_wrapped() -> None:
