@@ -61,7 +61,7 @@ class PolicyTestResult:
 
     def _succeeds(self, episode: Episode) -> bool:
         """Whether an episode is a success."""
-        lasts = episode.seconds >= self.horizon or episode.failure is None
+        lasts = episode.failure is None or episode.seconds > self.horizon
         return lasts if episode.succeeds is None else episode.succeeds
 
     @property

@@ -114,6 +114,8 @@ def test_its_result_in_numbers_and_words() -> None:
     episodes = tuple(Episode(x, *end, errors=(0.5, 2.0)) for end in ends)
     result = PolicyTestResult(5.0, episodes)
     assert result.successes == "110"
+    in_last_frame = tuple(Episode(x, seconds, 5.0, failure) for seconds in (60.0, 5.0))
+    assert PolicyTestResult(5.0, in_last_frame).successes == "00"
     numbers = (result.success_rate, result.long_success_rate, result.long_seconds)
     assert numbers == pytest.approx((2 / 3, 0.5, 33.5))
     counts, lasts = "in 2 of 3 (21% to 94%) test episodes", ", and lasts in 1 of 2 (9% to 91%) of 60 s ("
