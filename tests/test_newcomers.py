@@ -225,6 +225,12 @@ def test_the_screen_says_what_is_under_way(point_mass: Study) -> None:
         row = cost_text(iteration.search.predicted_cost)
         assert "policy search" in (after := file.getvalue().rpartition(row)[2])
         assert "hardware experiment" not in after
+        assert "failed" not in after
+        cheap = replace(iteration.experiments[0], cost=0.1, failed_at=20, failure="distance")
+        observer.iterated(replace(iteration, experiments=(cheap,)))
+        assert (
+            f"{cost_text(0.1)} ({cheap.frames * point_mass.task.time_step:.2f} s, failed)" in file.getvalue()
+        )
 
 
 def test_config_yaml_in_an_own_folder_is_refused(tmp_path: Path) -> None:

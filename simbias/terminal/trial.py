@@ -204,9 +204,10 @@ class TrialConsole(Observer):
         self._iterations.append(iteration)
 
     def _experiment_text(self, rollout: Rollout) -> str:
-        """Cost and balanced time of an experiment."""
+        """Cost and balanced time of an experiment; it is said if one failed whose cost does not tell."""
         seconds = rollout.frames * self._study.task.time_step
-        return f"{cost_text(rollout.cost):>8} ({seconds:.2f} s)"
+        failed = rollout.failed_at is not None and rollout.cost < self._study.cost.max_cost
+        return f"{cost_text(rollout.cost):>8} ({seconds:.2f} s{', failed' * failed})"
 
     def conclude(self, record: TrialRecord, where: str, replayed: bool = False) -> None:
         """The closing line: what came out, after how many experiments, and how to look at it."""

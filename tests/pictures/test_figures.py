@@ -117,6 +117,17 @@ def test_costs_have_no_limit_where_the_task_says_what_succeeds(short: Study, tri
     assert "no success" in texts(costs(replace(short, task=task), trial))
 
 
+def test_what_fails_at_a_cost_below_the_limit_is_a_cross(short: Study, trial: list[Iteration]) -> None:
+    """As in the last frame, of which nothing is lost; nothing else is one."""
+    fallen, *others = trial[1].experiments
+    fallen = replace(fallen, failed_at=fallen.frames, failure=short.task.criteria[0].name)
+    last = replace(trial[1], experiments=(fallen, *others))
+    for figure, crosses in ((costs(short, [trial[0], last]), [fallen.cost]), (costs(short, trial), [])):
+        for axes in figure.axes:
+            assert [cost for data in lines(axes, HARDWARE, "X") for _, cost in data] == crosses
+        assert ("no success" in texts(figure)) == bool(crosses)
+
+
 def test_errors_are_those_of_steps_one_by_one(short: Study, trial: list[Iteration]) -> None:
     """Eq. 6, one frame ahead; and many frames ahead as stepping through them one by one gives it."""
     pieces = windows(short, trial[-1], 30)

@@ -30,8 +30,9 @@ def cost_limit(study: Study) -> float:
 
 
 def cost_markers(study: Study, experiments: Sequence[Rollout]) -> Iterator[tuple[str, Flags]]:
-    """Markers of experiments' costs, and which (k,) have them: crosses, where the task says no success."""
-    missed = np.array([study.task.says_success and not study.passes(each) for each in experiments], np.bool_)
+    """Markers of experiments' costs, and which (k,) have them: crosses, where the limit does not tell."""
+    limit = cost_limit(study)
+    missed = np.array([each.cost < limit and not study.passes(each) for each in experiments], np.bool_)
     yield from ((marker, some) for marker, some in (("o", ~missed), ("X", missed)) if some.any())
 
 

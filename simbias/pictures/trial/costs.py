@@ -37,7 +37,7 @@ LEGEND = {
     ),
     "measured on hardware": Line2D([], [], color=HARDWARE, marker="o", linestyle=""),
 }
-NO_SUCCESS = Line2D([], [], color=HARDWARE, marker="X", linestyle="")
+NO_SUCCESS = {"no success": Line2D([], [], color=HARDWARE, marker="X", linestyle="")}
 
 
 def costs(study: Study, iterations: Sequence[Iteration]) -> Figure:
@@ -47,7 +47,8 @@ def costs(study: Study, iterations: Sequence[Iteration]) -> Figure:
     and, joined to it, that of its policy from the same start in the simulation of the iteration's search.
     At the right, these pairs, those of later iterations darker; one above the diagonal costs more than
     simulated. Z_max parts what works from what fails; shaded is what is below it in simulation and above it
-    on hardware. Where the task itself says what succeeds, crosses are experiments that did not.
+    on hardware. Crosses are experiments without success that cost less than Z_max, as those that fail in
+    their last frame may; where the task itself says what succeeds, all without success.
 
     Raises
     ------
@@ -58,24 +59,29 @@ def costs(study: Study, iterations: Sequence[Iteration]) -> Figure:
         raise NoPictureError("no policy was searched in simulation")
     figure, grid = panels(2, HEIGHT)
     (by_iteration, pairs), limit = grid[0], cost_limit(study)
-    values = [limit]
+    values, crosses = [limit], {}
     for iteration in iterations:
-        measured = [rollout.cost for rollout in iteration.experiments]
-        models = [rollout.cost for rollout in simulated(study, iteration, iteration.experiments)]
+        measured = np.array([rollout.cost for rollout in iteration.experiments])
+        models = np.array([each.cost for each in simulated(study, iteration, iteration.experiments)])
         at = iteration.index + ASIDE * (np.arange(len(measured)) - (len(measured) - 1) / 2)
-        for marker, some in cost_markers(study, iteration.experiments):
-            by_iteration.plot(at[some], np.array(measured)[some], marker, color=HARDWARE, zorder=3)
+        markers = dict(cost_markers(study, iteration.experiments))
+        for marker, some in markers.items():
+            by_iteration.plot(at[some], measured[some], marker, color=HARDWARE, zorder=3)
+        if "X" in markers:
+            crosses = NO_SUCCESS
         if iteration.search is not None:
             sides = [iteration.index - 0.35, iteration.index + 0.35]
             by_iteration.plot(sides, [iteration.search.predicted_cost] * 2, color=SIMULATION, linewidth=2.5)
             values.append(iteration.search.predicted_cost)
-        if models:
+        if len(models):
             by_iteration.vlines(at, models, measured, color="0.7", linewidth=0.8, zorder=1)
             by_iteration.plot(at, models, "o", color=SIMULATION, markerfacecolor="none", zorder=4)
             age = (iterations[-1].index - iteration.index) / max(1, iterations[-1].index)
             face = 1 - (1 - PALEST * age) * (1 - np.array(to_rgb(HARDWARE)))
-            pairs.plot(models, measured, "o", color=HARDWARE, markerfacecolor=face, markeredgewidth=0.5)
-        values += measured + models
+            style = {"color": HARDWARE, "markerfacecolor": face, "markeredgewidth": 0.5}
+            for marker, some in markers.items():
+                pairs.plot(models[some], measured[some], marker, **style)
+        values += [*measured, *models]
     logarithmic_if_wide(values, by_iteration.yaxis, pairs.xaxis, pairs.yaxis)
     by_iteration.set_xlim(-0.5, max(iteration.index for iteration in iterations) + 0.5)
     whole_numbers(by_iteration.xaxis)
@@ -88,7 +94,7 @@ def costs(study: Study, iterations: Sequence[Iteration]) -> Figure:
         plain(axes)
     searched = any(iteration.search is not None for iteration in iterations)
     entries = {name: line for name, line in LEGEND.items() if searched or name != SEARCHED}
-    legend(figure, entries | ({"no success": NO_SUCCESS} if study.task.says_success else {}))
+    legend(figure, entries | crosses)
     return figure
 
 
