@@ -48,6 +48,13 @@ def test_it_says_what_happened(short: Study, trial: list[Iteration], figure: Fig
         assert sentence in words
 
 
+def test_its_layout_is_settled_before_it_is_drawn(figure: Figure) -> None:
+    """Else labels may be cut off."""
+    places = [axes.get_position().bounds for axes in figure.axes]
+    figure.draw_without_rendering()
+    np.testing.assert_allclose([axes.get_position().bounds for axes in figure.axes], places, atol=0.01)
+
+
 def test_it_compares_from_the_same_starts(short: Study, trial: list[Iteration], figure: Figure) -> None:
     """Its lines are the measures of the records and of their simulation; so are the costs, one by one."""
     fallen = max(trial[0].experiments, key=lambda rollout: rollout.cost)

@@ -67,7 +67,8 @@ def overview(study: Study, iterations: Sequence[Iteration], draw: Drawing | None
     Below them, over the same time in s, that experiment and the same in the simulation that the policy was
     searched in, if it was: the measure of the criterion that failed, in its unit, against its limit; where no
     experiment failed, or this policy was too costly, the cost so far. At the right: the cost of every
-    hardware experiment of the trial and, from the same start, in the simulation of its policy's search.
+    hardware experiment of the trial, with crosses as of `costs`, and, from the same start, in the simulation
+    of its policy's search.
 
     Raises
     ------
@@ -76,7 +77,8 @@ def overview(study: Study, iterations: Sequence[Iteration], draw: Drawing | None
     """
     draw = draw or drawing_of(study.task)
     both = first_and_last(on_hardware(iterations))
-    figure = Figure(layout=ConstrainedLayoutEngine(h_pad=PAD))
+    layout = ConstrainedLayoutEngine(h_pad=PAD)
+    figure = Figure(layout=layout)
     left, right = figure.subfigures(1, 2, width_ratios=WIDTHS, squeeze=False)[0]
     blocks = left.subfigures(len(both), squeeze=False)[:, 0]
     shown = [worst_experiment(iteration) for iteration in both]
@@ -99,6 +101,7 @@ def overview(study: Study, iterations: Sequence[Iteration], draw: Drawing | None
         grid.set_height_ratios(heights)
     figure.set_size_inches(WIDTH, len(both) * (sum(heights) + LABELS))
     _draw_costs(right.add_subplot(), study, iterations)
+    layout.execute(figure)  # drawing does it again: once leaves labels of nested subfigures cut
     return figure
 
 
