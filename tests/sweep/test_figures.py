@@ -175,17 +175,21 @@ def test_labels_may_be_long_and_cells_alike_when_joined() -> None:
         Experiments().draw(swept(sweep, [{**row, "outcome": "error"} for row in rows]), ())
 
 
-def test_a_series_number_says_of_what_and_several_numbers_do_not() -> None:
+def test_legends_name_their_axes_and_ticks_break_at_underscores() -> None:
     several = "x: {keys: [bias.d, hardware.inertia_error], values: [[2.0, 0.1]]}"
-    axes = f"{{method: [lqr, lqi], bias.noise_variance: [0.5], {several}}}"
+    learners = ("acceleration_residual", "permuted_gp_learned", "gp")
+    axes = f"{{bias: [{', '.join(learners)}], evaluation: [nominal_start, domain_randomization], {several}}}"
     sweep = expand([f"+sweep={{trials: 1, axes: {axes}}}"])
     ended = {"outcome": "succeeded", "experiments": 2, "iterations": 2, **LATER}
     rows = [
-        {"method": method, "bias.noise_variance": "0.5", "x": "2/0.1", **ended} for method in ("lqr", "lqi")
+        {**dict(zip(("bias", "evaluation", "x"), cell.labels, strict=True)), **ended} for cell in sweep.cells
     ]
-    (axes,) = Experiments().draw(swept(sweep, rows), ()).figure.axes
-    (container,) = axes.containers
-    assert container.get_label() == "noise variance 0.5, 2/0.1"
+    figure = Experiments().draw(swept(sweep, rows), ()).figure
+    (axes,), (legend,) = figure.axes, figure.legends
+    assert legend.get_title().get_text() == "evaluation, d/inertia error"
+    assert legend.get_texts()[0].get_text() == "nominal_start, 2/0.1"
+    ticks = [each.get_text() for each in axes.get_xticklabels()]
+    assert ticks == ["acceleration_\nresidual", "permuted_gp_\nlearned", "gp"]
     keys = "keys: [bias.d, bias.noise_variance]"
     for gap, ticks, name in (
         ("{points: {1 N m/rad: {bias.d: 2.0, bias.noise_variance: 0.5}}}", "1 N m/rad", "gap"),

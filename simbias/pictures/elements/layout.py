@@ -51,7 +51,7 @@ def headline(axes: Axes, words: str, size: Literal["medium", "large"] = "medium"
     text.set_in_layout(False)
 
 
-def legend(figure: Figure, entries: Mapping[str, Artist]) -> None:
+def legend(figure: Figure, entries: Mapping[str, Artist], title: str = "") -> None:
     """Put a legend above all axes, in as many columns as there is room for; the figure grows by its height.
 
     The figure needs the constrained layout. Labels longer than the figure is wide are wrapped.
@@ -66,6 +66,8 @@ def legend(figure: Figure, entries: Mapping[str, Artist]) -> None:
             ncols=columns,
             frameon=False,
             fontsize=SMALL,
+            title=title,
+            title_fontsize=SMALL,
         )
         extent = made.get_window_extent()
         if extent.width <= figure.bbox.width or columns == 1:

@@ -15,7 +15,7 @@ from simbias.pictures.elements.layout import legend
 from simbias.pictures.elements.style import literal, plain, series_style
 from simbias.sweep.batches import Outcomes
 from simbias.sweep.figure import NONE_ENDED, FigureError, Picture, SweepFigure, SweptTrials
-from simbias.sweep.tables import cells, column_head, heads
+from simbias.sweep.tables import cells, heads
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -71,9 +71,13 @@ def _figure(table: pd.DataFrame, sweep: Sweep) -> Figure:
     along = next((axis for axis in sweep.axes if axis.name != sweep.report.columns), sweep.axes[0])
     others = [axis for axis in sweep.axes if axis is not along]
     curves = list(itertools.product(*(axis.labels for axis in others)))
-    width = min(max(NARROWEST, 2.0 + 0.3 * len(along.labels) * (1 + len(curves))), WIDEST)
-    letters = max(SHORTEST, int((width - BESIDE) / len(along.labels) / LETTER))
-    ticks = ["\n".join(fill(literal(text), letters) for text in point) for point in along.texts]
+    count = len(along.labels)
+    texts = [[literal(text).replace("_", "_ ") for text in point] for point in along.texts]  # may break there
+    longest = max((len(word) for point in texts for text in point for word in text.split()), default=0)
+    room = max(0.3 * (1 + len(curves)) * count + 2.0, LETTER * longest * count + BESIDE)
+    width = min(max(NARROWEST, room), WIDEST)
+    letters = max(SHORTEST, round((width - BESIDE) / count / LETTER))
+    ticks = ["\n".join(fill(text, letters).replace("_ ", "_") for text in point) for point in texts]
     lines = 1 + max(tick.count("\n") for tick in ticks)
     figure = Figure(figsize=(width, HEIGHT + LINE * lines), layout="constrained")
     axes = figure.add_subplot()
@@ -82,20 +86,15 @@ def _figure(table: pd.DataFrame, sweep: Sweep) -> Figure:
         for axis, label in zip(others, labels, strict=True):
             own = own[own[axis.name] == label]
         offset = 0.5 * (index - (len(curves) - 1) / 2) / max(len(curves), 2)
-        _curve(axes, own, offset, index, literal(", ".join(map(_series, others, labels))), len(curves) > 1)
+        _curve(axes, own, offset, index, literal(", ".join(labels)), len(curves) > 1)
     _label(axes, along, ticks)
     axes.set_ylim(bottom=0)
     axes.locator_params(axis="y", integer=True)
     axes.set_xlim(-0.6, len(along.labels) - 0.4)
     axes.set_ylabel("hardware experiments until success")
     if len(curves) > 1 or bool(table["paper"].notna().any()):
-        legend(figure, _ours_first(axes))
+        legend(figure, _ours_first(axes), literal(", ".join("/".join(heads(axis)) for axis in others)))
     return figure
-
-
-def _series(axis: Axis, label: str) -> str:
-    """A label that says what it is, where this is short."""
-    return column_head(axis, label) if len(axis.keys) == 1 else label
 
 
 def _ours_first(axes: Axes) -> dict[str, Artist]:
