@@ -73,7 +73,10 @@ def why_none(model: Model, regulator: str) -> str:
     """Why there is no policy for a model that imitates a regulator."""
     if model.task.targets:
         return "targets ask for another regulator at each start"
-    return f"{type(model.policy).__name__} imitates {regulator}, or the model has none"
+    policy = type(model.policy).__name__
+    if regulator == "no LQI" and not model.policy.integrated(np.zeros(len(model.task.states))).size:
+        return f"{policy} integrates nothing (dynamic_output_feedback, policy.integral_rate above 0)"
+    return f"{policy} imitates {regulator}, or the model has none"
 
 
 def lqr_policies(
