@@ -121,7 +121,7 @@ def _sweep_parts(folder: SweepFolder, description: dict) -> Iterator[str]:
             drawn = state.get("drawn", {}).get(file.stem, counts.total())
             if drawn != counts.total():
                 yield html.paragraph(
-                    f"Drawn of {counted(drawn, 'trial')}; once all have ended, it is drawn anew."
+                    f"Drawn from {counted(drawn, 'trial')}; it is drawn again once all have ended."
                 )
             if (numbers := file.with_suffix(".csv")).is_file():
                 frame = pd.read_csv(numbers, dtype=str, keep_default_na=False)

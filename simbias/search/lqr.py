@@ -69,12 +69,12 @@ def lqr_candidates(model: Model, count: int) -> Iterator[Array]:
     yield from policies
 
 
-def why_none(model: Model, regulator: str) -> str:
-    """Why there is no policy for a model that imitates a regulator."""
+def why_none(model: Model, regulator: str, integral: bool = False) -> str:
+    """Why there is no policy for a model that imitates a regulator, with an integral or without."""
     if model.task.targets:
         return "targets ask for another regulator at each start"
     policy = type(model.policy).__name__
-    if regulator == "no LQI" and not model.policy.integrated(np.zeros(len(model.task.states))).size:
+    if integral and not model.policy.integrated(np.zeros(len(model.task.states))).size:
         return f"{policy} integrates nothing (dynamic_output_feedback, policy.integral_rate above 0)"
     return f"{policy} imitates {regulator}, or the model has none"
 

@@ -32,6 +32,12 @@ def episodes_needed(bar: float = BAR) -> int:
     return int(NormalDist().inv_cdf(0.5 + CONFIDENCE / 2) ** 2 * bar / (1.0 - bar)) + 1
 
 
+def verdicts(tests: Sequence[str], bar: float = BAR) -> Array:
+    """1 (k,) for each policy that holds, 0 for each other; nan with fewer test episodes than it takes."""
+    needed = episodes_needed(bar)
+    return np.array([float(holds(test, bar)) if len(test) >= needed else np.nan for test in tests])
+
+
 def passed(test_episodes: str, lasting_episodes: str) -> str:
     """1 for each test episode that succeeds and lasts to its own end, 0 for each other.
 

@@ -14,7 +14,7 @@ from simbias.core.messages import counted
 from simbias.core.proportions import CONFIDENCE, wilson
 from simbias.sweep.axes import Axis
 from simbias.sweep.grid import Sweep
-from simbias.sweep.statistics import episodes_needed, holds, interval, passed
+from simbias.sweep.statistics import episodes_needed, interval, passed, verdicts
 
 BLANK = "–"  # noqa: RUF001  where there is no number
 RELIABLE = 0.9  # success rate from which a policy counts as reliable
@@ -65,9 +65,9 @@ def _measures(trials: Sequence[Mapping[str, Any]], bar: float) -> list[float]:
     tested = [trial for trial in ended if trial["test_episodes"]]
     rates = [success_rate(trial["test_episodes"]) for trial in tested]
     reliable = [float(rate >= RELIABLE) for rate in rates]
-    tests = [passed(trial["test_episodes"], trial["lasting_episodes"]) for trial in tested]
-    holding = [holds(test, bar) for test in tests if len(test) >= episodes_needed(bar)]
-    means = (_mean(seconds), _mean(rates), _mean(reliable), len(holding), sum(holding), _mean(long))
+    held = verdicts([passed(trial["test_episodes"], trial["lasting_episodes"]) for trial in tested], bar)
+    held = held[~np.isnan(held)]
+    means = (_mean(seconds), _mean(rates), _mean(reliable), len(held), int(held.sum()), _mean(long))
     return [*counts, _mean(experiments), *interval(experiments), _mean(iterations), *means]
 
 

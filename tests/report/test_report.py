@@ -132,7 +132,7 @@ def test_the_page_of_a_sweep(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     html = file.read_text()
     assert self_contained(html)
     said = ["2 of 2 trials have ended; of these succeeded", "&lt;script&gt;alert(1)&lt;/script&gt;"]
-    assert "Drawn of" not in html
+    assert "Drawn from" not in html
     said += ["data:image/png;base64,", "preset=cartpole", "<th>succeeded</th>", "/1 ["]
     assert [words for words in said if words not in html] == []
     rows = re.findall("<tr>(<td>.*)</tr>", html)[:2]
@@ -141,7 +141,8 @@ def test_the_page_of_a_sweep(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     state = json.loads((file.parent / "state.json").read_text())
     assert state["drawn"] == dict.fromkeys(state["captions"], 2)
     write_json(file.parent / "state.json", state | {"drawn": dict.fromkeys(state["captions"], 1)})
-    assert "Drawn of 1 trial; once all have ended, it is drawn anew." in sweep_page(SweepFolder(file.parent))
+    page = sweep_page(SweepFolder(file.parent))
+    assert "Drawn from 1 trial; it is drawn again once all have ended." in page
 
 
 def test_claims_that_a_test_contradicts_are_counted(tmp_path: Path) -> None:

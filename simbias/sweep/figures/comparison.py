@@ -23,13 +23,13 @@ from simbias.sweep.grid import Sweep
 from simbias.sweep.statistics import (
     bootstrap,
     episodes_needed,
-    holds,
     holm,
     interquartile_mean,
     passed,
     performance_profile,
     probability_of_improvement,
     sign_test,
+    verdicts,
 )
 from simbias.sweep.tables import untested
 
@@ -107,11 +107,8 @@ def _scored(table: pd.DataFrame, bar: float) -> pd.DataFrame:
     """The trials, with what their last policies hold; nan of those that do not count."""
     tests = [*map(passed, table["test_episodes"], table["lasting_episodes"])]
     scores = np.array([text.count("1") / len(text) if text else np.nan for text in tests])
-    needed = episodes_needed(bar)
-    return table.assign(
-        score=np.where(table["outcome"] == "error", np.nan, scores),
-        holds=[holds(text, bar) if len(text) >= needed else np.nan for text in tests],
-    )
+    score = np.where(table["outcome"] == "error", np.nan, scores)
+    return table.assign(score=score, holds=verdicts(tests, bar))
 
 
 class _Method:
@@ -159,7 +156,7 @@ def _against(methods: dict[str, _Method], reference: _Method) -> pd.DataFrame:
         both = method.scores[:, tried], reference.scores[:, tried]
         low, high = bootstrap(probability_of_improvement, *both)
         rows[name] = {"better": probability_of_improvement(*both), "better_low": low, "better_high": high}
-        pairs = (method.trials["holds"].astype(float) - reference.trials["holds"].astype(float)).dropna()
+        pairs = (method.trials["holds"] - reference.trials["holds"]).dropna()
         if len(pairs):
             p[name] = sign_test(pairs.tolist())
     table = pd.DataFrame.from_dict(rows, orient="index")

@@ -73,7 +73,8 @@ class Lqr(Method):
         """The policy (p,) that imitates the model's regulator."""
         policies = lqr_policies(model, (self.input_weight,), self.integral_weight, sticking=self.sticking)
         if not policies:
-            raise ConfigError("method", why_none(model, "no LQI" if self.integral_weight else "no LQR"))
+            integral = self.integral_weight > 0
+            raise ConfigError("method", why_none(model, "no LQI" if integral else "no LQR", integral))
         (theta,) = policies
         return theta
 
