@@ -1,5 +1,6 @@
 """Robots that move: they follow what is planned on the model, or swing up, as no linear policy can."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -128,7 +129,8 @@ def test_a_policy_that_does_not_swing_up_is_told_why(monkeypatch: pytest.MonkeyP
     assert ["coming nearer, so the horizon may be short" in each for each in words] == [False, True]
     balancing = simbias.load(["preset=cartpole", "tracking=none"])  # its cost says what success is
     still = np.zeros(balancing.policy.n_parameters)
-    assert not list(of_prediction(still, balancing.first_model(), balancing))
+    (remark,) = of_prediction(still, balancing.first_model(), balancing)
+    assert re.fullmatch(r"this policy fails in simulation, from \d+ of 20 starts that .*", remark.words)
     unlimited = property(lambda task: (-task.input_limit, np.full(1, np.inf)))
     monkeypatch.setattr(type(study.task), "input_bounds", unlimited)
     (remark,) = of_prediction(np.zeros(study.policy.n_parameters), study.first_model(), study)

@@ -22,6 +22,7 @@ from simbias.trial.study import Study
 
 NEARER, EARLIER = 0.95, 0.9  # times the least distance in this share of an episode: it was coming nearer
 ROUGH = 0.5  # of the residuals' root mean square: a sparse posterior further from the exact one is told
+STARTS = 20  # from which a policy is simulated where the task says no success
 SAME = 1e-6  # of a policy's largest parameter, within which parameters say the same
 
 _simulated: WeakKeyDictionary[Iteration, tuple[Remark, ...]] = WeakKeyDictionary()
@@ -95,6 +96,21 @@ def of_goal(rollout: Rollout, task: Task) -> Iterator[Remark]:
     )
 
 
+def of_starts(theta: Array, model: Model, cost: Cost) -> Iterator[Remark]:
+    """Whether a policy theta (p,) fails in simulation from most of the starts that the task draws."""
+    rng, failures = np.random.default_rng(0), list[str]()
+    for _ in range(STARTS):
+        rollout = _simulated_on(model, theta, model.task.draw_start(rng), cost)
+        if rollout.failed_at is not None:
+            failures.append(model.task.words(rollout.failure or "failed"))
+    if len(failures) > STARTS / 2:
+        yield Remark(
+            "a policy fails in simulation",
+            f"this policy fails in simulation, from {len(failures)} of {STARTS} starts that the task draws: "
+            f"{', '.join(dict.fromkeys(failures))}",
+        )
+
+
 def of_safety(theta: Array, start: Array, model: Model | None, study: Study) -> Iterator[Remark]:
     """Whether an experiment with theta (p,) from a start (n,) goes beyond `hardware.safety` in simulation."""
     task, safety = study.task, study.conditions.safety
@@ -142,6 +158,8 @@ def of_prediction(theta: Array, model: Model | None, study: Study) -> Iterator[R
     if model.task.says_success:
         rollout = _simulated_on(model, theta, model.task.start_mean, study.cost)
         yield from of_goal(rollout, model.task)
+    else:
+        yield from of_starts(theta, model, study.cost)
     yield from of_model(theta, model, study.cost)
     error = model.bias.diagnostics.get("mean_error", 0.0)
     if error > ROUGH:
