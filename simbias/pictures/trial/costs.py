@@ -18,6 +18,7 @@ from simbias.pictures.elements.style import (
     HARDWARE,
     LIMIT,
     SIMULATION,
+    SMALL,
     logarithmic_if_wide,
     plain,
     shade_beyond,
@@ -37,6 +38,7 @@ LEGEND = {
     ),
     "measured on hardware": Line2D([], [], color=HARDWARE, marker="o", linestyle=""),
 }
+ALONE = "works in simulation alone"
 NO_SUCCESS = {"no success": Line2D([], [], color=HARDWARE, marker="X", linestyle="")}
 
 
@@ -110,6 +112,9 @@ def _divide(axes: Axes, limit: float) -> None:
         axes.axhline(limit, color=LIMIT, linewidth=0.8, zorder=1)
         axes.axvline(limit, color=LIMIT, linewidth=0.8, zorder=1)
         axes.fill_between([left, limit], limit, top, color=BEYOND, linewidth=0.0, zorder=0)
+        axes.annotate(
+            ALONE, (left, limit), (3, 4), textcoords="offset points", color=LIMIT, fontsize=SMALL, zorder=0.5
+        )
     axes.set(xlim=(left, right), ylim=(bottom, top))
     axes.set_xlabel("Z in simulation, from the same start (dimensionless)")
     axes.set_ylabel("Z on hardware (dimensionless)")
