@@ -17,6 +17,7 @@ from simbias.robots.bongoboard.task import Robot
 
 LOSSES = ("ankle_damping", "ankle_stiffness", "ankle_friction", "rolling_resistance")
 DRY = ("ankle_friction", "rolling_resistance")  # those that do not fade as the robot comes to rest
+_FIRST = 1 + len(LOSSES)  # of the lumped coefficients; Numba slices tuples by constants alone
 _EQUATIONS = len(LOSSES)  # where those of the equations begin: with a number in place of the time step
 _SLIDING = 0.05  # rad/s, at which dry friction has 0.7 of its strength: a step that is not sudden
 
@@ -43,7 +44,7 @@ def accelerations(x, u, parameters):
 
 def _loads(x, u, parameters):
     """The ankles' torque and the moment on the wheel, in N m."""
-    _, damping, stiffness, friction, resistance = parameters[: 1 + len(LOSSES)]
+    _, damping, stiffness, friction, resistance = parameters[:_FIRST]
     theta, d_alpha_w, d_theta = x[2], x[3], x[5]
     torque = u[0] - damping * d_theta - stiffness * theta - friction * _direction(d_theta)
     return torque, -resistance * _direction(d_alpha_w)
