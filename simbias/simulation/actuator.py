@@ -43,9 +43,9 @@ def taps_of(delay: float, time_step: float) -> int:
 class Actuators:
     """The actuators of all inputs of a robot, whose delays are at most `taps` frames.
 
-    Whole frames are exact. A fraction of one is interpolated between the frames beside it, so what acts is
-    continuous in the delay. A lag is exact for an input that is constant in each frame; what acts in a frame
-    is its mean over the frame, as of a real motor, if `averaged`, else its value at the end.
+    What acts is continuous in lag and delay. In a frame it is its mean over the frame, as of a real motor, if
+    `averaged`; this is exact for inputs that are constant in each frame. Else it is its value at the end, and
+    with a fraction of a frame in the delay, the input is interpolated between the frames beside it first.
     """
 
     def __init__(
@@ -57,8 +57,12 @@ class Actuators:
         before = means if averaged else keep
         frames = [min(round(a.delay / time_step, 9), taps) for a in actuators]
         weights = np.maximum(0.0, 1.0 - np.abs(np.array(frames)[:, None] - np.arange(taps + 1)))
+        ends = weights.copy()
+        for i, a in enumerate(actuators if averaged else []):
+            if a.lag > 0:
+                ends[i], weights[i] = _weights(frames[i], a.lag / time_step, taps)
         columns = [[a.gain, a.offset, a.limit] for a in actuators]
-        self._parameters = np.column_stack([columns, keep, before, weights])  # (m, 6 + taps)
+        self._parameters = np.column_stack([columns, keep, before, ends, weights])  # (m, 7 + 2 taps)
         self.state_size = len(actuators) * (1 + taps)
         self.ideal = all(actuator == Actuator() for actuator in actuators)
         self.kernel = Kernel(_act(len(actuators), taps), self._parameters.ravel())
@@ -91,10 +95,26 @@ class Actuators:
 
         k, columns = len(inputs), []
         for u, (gain, _, limit, keep, _, *weights) in zip(inputs.T, self._parameters, strict=True):
-            delayed = np.convolve(u, weights)[:k] if k else u
+            delayed = np.convolve(u, weights[: 1 + self._taps])[:k] if k else u
             lagged = lfilter([1.0 - keep], [1.0, -keep], limited(gain * delayed, limit))
             columns += [_earlier(lagged, 1), *(_earlier(u, j) for j in range(1, self._taps + 1))]
         return np.stack(columns, axis=-1)
+
+
+def _weights(delay: float, lag: float, taps: int) -> tuple[Array, Array]:
+    """Weights (1 + taps,) of an input and of those before: in the lag at the end of a frame, and in its mean.
+
+    Delay and lag are in frames. In the fraction of a frame that the delay has, the input of the frame before
+    acts still.
+    """
+    whole = int(delay)
+    fraction = delay - whole
+    kept, since = math.exp(-1.0 / lag), math.exp((fraction - 1.0) / lag)
+    ends, means = np.zeros(2 + taps), np.zeros(2 + taps)
+    reached = np.array([1.0 - since, since - kept])  # by this input and the one before, at the end
+    ends[whole : whole + 2] = reached / (1.0 - kept)
+    means[whole : whole + 2] = ([1.0 - fraction, fraction] - lag * reached) / (1.0 - lag * (1.0 - kept))
+    return ends[:-1], means[:-1]
 
 
 def limited(x, limit):
@@ -112,29 +132,35 @@ def _act(inputs: int, taps: int, first: int = 0) -> Callable:
     """The kernel of the inputs from number `first` on.
 
     Of each input, its parameters are gain, offset, limit, what is kept of the lag's state in a frame, that
-    state's weight in what acts, and the weights of this frame's input and of those before; its memory is the
-    lag's state and these earlier inputs.
+    state's weight in what acts, and the weights of this frame's input and of those before, in the lag's state
+    and in what acts; its memory is the lag's state and these earlier inputs.
     """
     if first == inputs:
         return lambda u, parameters, memory: ((), ())
     others = _act(inputs, taps, first + 1)
-    p, s = first * (6 + taps), first * (1 + taps)
+    p, s = first * (7 + 2 * taps), first * (1 + taps)
     earlier, oldest = s + 1, s + taps
-    terms = [f"parameters[{p + 6 + j}] * memory[{earlier + j}]" for j in range(taps)]
-    weighted = function_of(f"def weighted(parameters, memory): return {sum_of(terms)}", "weighted")
+    at_end, of_mean = (_weighted(p + 5 + own * (1 + taps), first, earlier, taps) for own in (0, 1))
 
     def act(u, parameters, memory):
         """The inputs that act, and the memory for the next frame."""
-        delayed = parameters[p + 5] * u[first] + weighted(parameters, memory)
-        keep, before = parameters[p + 3], parameters[p + 4]
-        target = limited(parameters[p] * delayed, parameters[p + 2])
+        gain, limit, keep, before = parameters[p], parameters[p + 2], parameters[p + 3], parameters[p + 4]
+        target = limited(gain * at_end(u, parameters, memory), limit)
+        mean = limited(gain * of_mean(u, parameters, memory), limit)
         lagged = keep * memory[s] + (1.0 - keep) * target
-        acts = before * memory[s] + (1.0 - before) * target
+        acts = before * memory[s] + (1.0 - before) * mean
         acting, kept = others(u, parameters, memory)
         inputs_before = ((u[first],) + memory[earlier:oldest])[:taps]  # noqa: RUF005 (for Numba)
         return (acts + parameters[p + 1],) + acting, (lagged,) + inputs_before + kept  # noqa: RUF005
 
     return act
+
+
+def _weighted(first: int, number: int, earlier: int, taps: int) -> Callable:
+    """An input of this frame and those before, by weights that begin at parameter `first`."""
+    terms = [f"parameters[{first + 1 + j}] * memory[{earlier + j}]" for j in range(taps)]
+    sums = f"parameters[{first}] * u[{number}] + ({sum_of(terms)})"
+    return function_of(f"def weighted(u, parameters, memory): return {sums}", "weighted")
 
 
 @lru_cache(maxsize=64)

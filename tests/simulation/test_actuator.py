@@ -37,9 +37,9 @@ def responses(actuators: Actuators, inputs: Array) -> Array:
     return np.array(acts)
 
 
-def response(actuator: Actuator, u: Array, taps: int = 5) -> Array:
+def response(actuator: Actuator, u: Array, taps: int = 5, averaged: bool = False) -> Array:
     """What acts (k,) of inputs (k,)."""
-    return responses(Actuators([actuator], DT, taps), u[:, None])[:, 0]
+    return responses(Actuators([actuator], DT, taps, averaged), u[:, None])[:, 0]
 
 
 def test_by_default_it_acts_as_commanded_else_with_gain_limit_and_offset() -> None:
@@ -67,13 +67,14 @@ def test_a_lag_answers_a_step_with_an_exponential() -> None:
 @pytest.mark.slow
 def test_over_a_frame_an_averaged_lag_acts_by_its_mean() -> None:
     """That of a lag that is simulated in a thousandth of a frame; without a lag, the input itself."""
-    u, fine = np.random.default_rng(0).normal(size=40), 1000
-    averaged = responses(Actuators([Actuator(lag=0.002)], DT, 0, averaged=True), u[:, None])[:, 0]
-    finely = Actuators([Actuator(lag=0.002)], DT / fine, 0)
-    means = responses(finely, np.repeat(u, fine)[:, None])[:, 0].reshape(-1, fine).mean(axis=1)
-    np.testing.assert_allclose(averaged, means, atol=1e-3)
-    ideal = responses(Actuators([Actuator()], DT, 0, averaged=True), u[:, None])[:, 0]
-    np.testing.assert_array_equal(ideal, u)
+    u, fine, lag = np.random.default_rng(0).normal(size=40), 500, 0.002
+    finely = Actuators([Actuator(lag=lag)], DT / fine, 0)
+    for late in (0, 150, 1250):
+        delayed = np.concatenate([np.zeros(late), np.repeat(u, fine)])[: fine * len(u), None]
+        means = responses(finely, delayed)[:, 0].reshape(-1, fine).mean(axis=1)
+        averaged = response(Actuator(lag=lag, delay=late / fine * DT), u, averaged=True)
+        np.testing.assert_allclose(averaged, means, atol=2e-3)
+    np.testing.assert_array_equal(response(Actuator(), u, averaged=True), u)
 
 
 @given(actuator=actuators, u=st.floats(-10.0, 10.0))
@@ -83,20 +84,21 @@ def test_it_settles_where_it_is_said_to(actuator: Actuator, u: float) -> None:
     assert response(actuator, np.full(1000, u))[-1] == pytest.approx(settled, rel=1e-9, abs=1e-9)
 
 
-@given(both=st.tuples(actuators, actuators), seed=st.integers(0, 100))
+@given(both=st.tuples(actuators, actuators), seed=st.integers(0, 100), averaged=st.booleans())
 @settings(deadline=None, max_examples=10)
 def test_two_inputs_have_their_own_and_the_memory_of_a_record_is_that_of_the_loop(
-    both: tuple[Actuator, Actuator], seed: int
+    both: tuple[Actuator, Actuator], seed: int, averaged: bool
 ) -> None:
     inputs = np.random.default_rng(seed).normal(scale=3.0, size=(30, 2))
-    together = Actuators(both, DT, 5)
+    together = Actuators(both, DT, 5, averaged)
     memories = together.model_states(inputs)
     acts, after = together.acting(inputs, memories)
     np.testing.assert_allclose(acts, responses(together, inputs), rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(after[:-1], memories[1:], rtol=1e-12, atol=1e-12)
     assert together.model_states(inputs[:0]).shape == (0, together.state_size)  # of a fall at the start
     for i, actuator in enumerate(both):
-        np.testing.assert_allclose(acts[:, i], response(actuator, inputs[:, i]), rtol=1e-12, atol=1e-12)
+        alone = response(actuator, inputs[:, i], averaged=averaged)
+        np.testing.assert_allclose(acts[:, i], alone, rtol=1e-12, atol=1e-12)
 
 
 # In closed loops
