@@ -28,6 +28,7 @@ def search(
     model: Model,
     rng: np.random.Generator,
     observer: Observer,
+    *,
     lqr_candidates: int = 0,
     retries: int = 0,
     target_cost: float | None = None,

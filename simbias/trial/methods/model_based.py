@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from simbias.core import Task
+from simbias.core import Model, Task
 from simbias.core.errors import ConfigError
 from simbias.core.files import ConfigFile
 from simbias.core.ranges import Count, CountOrZero, NonNegative, Positive, Share
-from simbias.core.records import Array, Iteration, Learning, Rollout
+from simbias.core.records import Array, Iteration, Learning, Rollout, Search
 from simbias.search.optimizer.ilqr import follower
 from simbias.trial.claim import Confidence, passes_for
 from simbias.trial.disk import read_json
@@ -139,9 +139,7 @@ class ModelBased(Method):
         for index in range(self.max_iterations):
             clock = Stopwatch()
             with clock("search"):
-                retries = self.retry_search, self.target_cost, self.posterior_scale
-                first = self.lqr_candidates, *retries, last, self.trajectories
-                found = search(study, model, search_rng, observer, *first)
+                found = self._search(study, model, search_rng, observer, last)
             theta, simulation = found.optimum.parameters, model
             last = [theta] if self.from_last else []
             reset = found.predicted_cost > study.cost.max_cost and not self.keep_data
@@ -167,6 +165,28 @@ class ModelBased(Method):
             yield iteration_record(study, index, theta, rollouts, made, clock, simulation, found, learning)
             if succeeded:
                 return
+
+    def _search(
+        self,
+        study: Study,
+        model: Model,
+        rng: np.random.Generator,
+        observer: Observer,
+        last: Iterable[Array],
+    ) -> Search:
+        """The search on a model, with the method's options."""
+        return search(
+            study,
+            model,
+            rng,
+            observer,
+            lqr_candidates=self.lqr_candidates,
+            retries=self.retry_search,
+            target_cost=self.target_cost,
+            posterior_scale=self.posterior_scale,
+            last=last,
+            trajectories=self.trajectories,
+        )
 
     def _known(self, study: Study) -> Iterator[Array]:
         """The first policy's parameters (p,), if there is one; read when a search asks, not in a replay."""

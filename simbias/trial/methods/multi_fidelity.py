@@ -67,7 +67,7 @@ class MultiFidelity(Method):
         for index in range(self.max_iterations):
             clock = Stopwatch()
             with clock("search"):
-                found = search(study, model, search_rng, observer, self.lqr_candidates)
+                found = search(study, model, search_rng, observer, lqr_candidates=self.lqr_candidates)
                 theta, simulation = found.optimum.parameters, model
                 if middle is not None:
                     scenario_rng, own_rng = middle_rng.spawn(2)
