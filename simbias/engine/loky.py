@@ -58,7 +58,7 @@ class Loky(Engine):
         """Results of the calls, until a worker dies; joblib kills the workers when this is closed."""
         from joblib import Parallel, delayed, load, parallel_config
 
-        for message in NOISE:
+        for message in NOISE:  # for good: results are yielded, which a filter for a while does not outlive
             warnings.filterwarnings("ignore", message=message)
         with parallel_config(
             "loky",

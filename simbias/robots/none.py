@@ -29,5 +29,5 @@ class NoNominal(Nominal):
             self._moves[rates, positions] = task.time_step
 
     def step(self, x: Array, u: Array) -> Array:
-        """X_next (..., n) = x (..., n), or with each position moved by its rate."""
+        """x_next (..., n) = x (..., n), or with each position moved by its rate."""
         return x + x @ self._moves if self._moves.any() else x.copy()

@@ -113,11 +113,11 @@ class Late(Nominal):
         self.kernel = None if mechanics is None else self._actuators.before(mechanics)
 
     def step(self, x: Array, u: Array) -> Array:
-        """X_next (..., n) after x (..., n), as if u (..., m) had acted for long."""
+        """x_next (..., n) after x (..., n), as if u (..., m) had acted for long."""
         return self._nominal.step(x, u)
 
     def advance(self, x: Array, u: Array, model_state: Array) -> tuple[Array, Array]:
-        """X_next (..., n), and the inputs (..., s) that later frames need."""
+        """x_next (..., n), and the inputs (..., s) that later frames need."""
         acting, kept = self._actuators.acting(u, model_state)
         return self._nominal.step(x, acting), kept
 
