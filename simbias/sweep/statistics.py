@@ -18,6 +18,7 @@ from simbias.core.records import Array
 BAR = 0.8  # share of starts of which a policy has to be known to hold more
 TAIL = 50.0 * (1.0 - CONFIDENCE)
 TAILS = TAIL, 100.0 - TAIL  # percentiles of a bootstrap distribution
+FEWEST = 5  # values, or cells, of which an interval is given
 RESAMPLES = 10_000
 AT_ONCE = 1_000_000  # numbers drawn, so that a large cell takes no more memory than a small one
 
@@ -47,8 +48,14 @@ def passed(test_episodes: str, lasting_episodes: str) -> str:
 
 
 def interval(values: Sequence[float]) -> tuple[float, float]:
-    """Percentile bootstrap interval of the mean, independent of the values' order; nan for fewer than two."""
-    return _interval(tuple(sorted(values))) if len(values) > 1 else (np.nan, np.nan)
+    """Percentile bootstrap interval of the mean, independent of the values' order.
+
+    It is nan for fewer than FEWEST values, and where all are equal: its width would tell nothing. Of five
+    values it covers the mean in about 80% of samples, of ten in 90%.
+    """
+    if len(values) < FEWEST or min(values) == max(values):
+        return np.nan, np.nan
+    return _interval(tuple(sorted(values)))
 
 
 @lru_cache(maxsize=1000)
@@ -59,6 +66,12 @@ def _interval(sample: tuple[float, ...]) -> tuple[float, float]:
         some[:] = rng.choice(np.array(sample, dtype=np.float64), (len(some), len(sample))).mean(axis=1)
     low, high = np.percentile(means, TAILS)
     return float(low), float(high)
+
+
+def mean_text(values: Sequence[float], form: str) -> str:
+    """Mean and interval, "3.0 [2.1, 4.2]", as a format of numbers has them; the mean alone without one."""
+    low, high = interval(values)
+    return f"{np.mean(values):{form}}" + f" [{low:{form}}, {high:{form}}]" * (not np.isnan(low))
 
 
 def interquartile_mean(scores: Array) -> float:
@@ -84,17 +97,17 @@ def performance_profile(scores: Array, thresholds: Array) -> Array:
 
 
 def bootstrap(statistic: Callable[..., float], *scores: Array, resamples: int = 2000) -> Interval:
-    """Percentile interval of a statistic of score matrices (r, c) over cells; nan for fewer than two.
+    """Percentile interval of a statistic of score matrices (r, c) over cells.
 
     Cells are resampled with all of their runs, of all matrices the same. So it tells of other cells, and has
-    a width where the runs of each cell are all alike.
+    a width where the runs of each cell are all alike. As `interval`, it is nan of few cells, or equal ones.
     """
     rng, count = np.random.default_rng(0), scores[0].shape[1]
-    if count < 2:
+    if count < FEWEST:
         return Interval(np.nan, np.nan)
     drawn = (rng.integers(count, size=count) for _ in range(resamples))
     values = [statistic(*(each[:, cells] for each in scores)) for cells in drawn]
-    return Interval(*map(float, np.percentile(values, TAILS)))
+    return Interval(*map(float, np.percentile(values, TAILS) if np.ptp(values) else (np.nan, np.nan)))
 
 
 def sign_test(differences: Sequence[float]) -> float:

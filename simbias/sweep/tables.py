@@ -14,7 +14,7 @@ from simbias.core.messages import counted
 from simbias.core.proportions import CONFIDENCE, wilson
 from simbias.sweep.axes import Axis
 from simbias.sweep.grid import Sweep
-from simbias.sweep.statistics import episodes_needed, interval, passed, verdicts
+from simbias.sweep.statistics import FEWEST, episodes_needed, interval, passed, verdicts
 
 BLANK = "–"  # noqa: RUF001  where there is no number
 RELIABLE = 0.9  # success rate from which a policy counts as reliable
@@ -35,13 +35,13 @@ def cells(trials: pd.DataFrame, sweep: Sweep) -> pd.DataFrame:
     """A row for each cell of the grid, in its order: the axes' labels and the MEASURES.
 
     `trials` counts those that ran to an end, `succeeded` those with success; `mean`, and `low` to `high`, its
-    bootstrap interval, are of the number of experiments; `iterations` is the mean of theirs; `raised` counts
-    trials that ended by an error, which are in no other number; `paper` is the paper's mean, nan where it has
-    none. Means too are `hardware_seconds`, `success_rate`, the share of test episodes in which the last
-    policies succeed (where the task has no success of its own: last), `reliable`, the share of trials in
-    which this is at least RELIABLE, and `long_success_rate`, the share of long test episodes that last to
-    their end. Of `tested` last policies, with as many episodes as it takes, `holding` pass the report's bar
-    (`simbias.sweep.statistics.holds`).
+    interval (`simbias.sweep.statistics.interval`), are of the number of experiments; `iterations` is the mean
+    of theirs; `raised` counts trials that ended by an error, which are in no other number; `paper` is the
+    paper's mean, nan where it has none. Means too are `hardware_seconds`, `success_rate`, the share of test
+    episodes in which the last policies succeed (where the task has no success of its own: last for its
+    horizon), `reliable`, the share of trials in which this is at least RELIABLE, and `long_success_rate`, the
+    share of long test episodes that last to their end. Of `tested` last policies, with as many episodes as it
+    takes, `holding` pass the report's bar (`simbias.sweep.statistics.holds`).
     """
     names = [axis.name for axis in sweep.axes]
     trials_of: dict[tuple[str, ...], list[dict[Any, Any]]] = {cell.labels: [] for cell in sweep.cells}
@@ -203,8 +203,9 @@ def legend(sweep: Sweep, trials: pd.DataFrame) -> str:
     iterations = "iterations: likewise; " if "iterations" in sweep.report.measures else ""
     return (
         f"experiments: mean number of hardware experiments until success [{CONFIDENCE:.0%} bootstrap "
-        f"interval]; {iterations}a trial that never succeeds counts all that it may make; beside counts: "
-        f"Wilson intervals of the share.{_of_tests(sweep, trials)}{left_out(trials['outcome'])}"
+        f"interval, where at least {FEWEST} trials are not all equal]; {iterations}a trial that never "
+        "succeeds counts all that it may make; beside counts: Wilson intervals of the share, of trials that "
+        f"are independent.{_of_tests(sweep, trials)}{left_out(trials['outcome'])}"
     )
 
 

@@ -18,7 +18,7 @@ import pandas as pd
 
 from simbias.core import markdown
 from simbias.core.proportions import wilson
-from simbias.sweep.statistics import holds, holm, interval, passed, sign_test
+from simbias.sweep.statistics import holds, holm, mean_text, passed, sign_test
 from simbias.sweep.tables import left_out
 
 HEAD = ["rival", "cells better, worse, equal", "p", "p, Holm", "mean difference", "worst cell"]
@@ -46,13 +46,12 @@ def comparisons(table: pd.DataFrame, method: str, rivals: Sequence[str]) -> Iter
     p = {rival: sign_test(each.tolist()) for rival, each in differences.items()}
     adjusted = holm(p)
     for rival, each in differences.items():
-        low, high = interval(each.tolist())
         yield [
             rival,
             ", ".join(str(int(some.sum())) for some in (each > 0, each < 0, each == 0)),
             f"{p[rival]:.3g}",
             f"{adjusted[rival]:.3g}",
-            f"{each.mean():+.1%} [{low:+.1%}, {high:+.1%}]",
+            mean_text(each, "+.1%"),
             f"{each.min():+.0%}, {each.idxmin()}" if each.min() < 0 else "none",
         ]
 

@@ -18,8 +18,9 @@ import numpy as np
 import pandas as pd
 
 from simbias.core import markdown
-from simbias.sweep import results, statistics
+from simbias.sweep import results
 from simbias.sweep.grid import Sweep, expand
+from simbias.sweep.statistics import mean_text
 from simbias.trial.folder import EPISODES
 
 TRIALS = Path("trials")
@@ -42,16 +43,11 @@ def table(sweep: Sweep, errors: pd.DataFrame, rivals: Sequence[str]) -> str:
     for cell in sweep.cells:
         own = of_cell[cell.labels]
         mm = 1000 * own["error"]
-        texts = [str(len(own)), _mean(mm), f"{mm.min():.1f} to {mm.max():.1f}", str(own["failed"].sum())]
+        span, failed = f"{mm.min():.1f} to {mm.max():.1f}", str(own["failed"].sum())
         others = (of_cell[*cell.labels[:-1], rival] for rival in rivals)
-        body.append([*cell.labels, *texts, *(_mean(other["error"] / own["error"]) for other in others)])
+        times = (mean_text(other["error"] / own["error"], ".1f") for other in others)
+        body.append([*cell.labels, str(len(own)), mean_text(mm, ".1f"), span, failed, *times])
     return markdown.table([*axes, *HEAD, *(f"times less: {rival}" for rival in rivals)], body)
-
-
-def _mean(values: pd.Series) -> str:
-    """A mean and its interval."""
-    low, high = statistics.interval(list(values))
-    return f"{np.mean(values):.1f} [{low:.1f}, {high:.1f}]"
 
 
 def main(name: str, path: Path, *rivals: str) -> None:

@@ -11,7 +11,6 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 from joblib import Parallel, delayed
 from premise import STARTS, balanced_starts
@@ -37,11 +36,7 @@ def table(sweep: Sweep, trials: pd.DataFrame, policies: pd.DataFrame) -> str:
     laid = tables.layout(tables.cells(trials, sweep), sweep)
     axes = [axis.name for axis in sweep.axes]
     shares = policies.assign(share=policies["balanced"] / policies["starts"]).groupby(axes)["share"]
-    texts = []
-    for cell in sweep.cells:
-        own = list(shares.get_group(cell.labels))
-        low, high = statistics.interval(own)
-        texts.append(f"{np.mean(own):.0%} [{low:.0%}, {high:.0%}]")
+    texts = [statistics.mean_text(shares.get_group(cell.labels), ".0%") for cell in sweep.cells]
     body = [[*line, text] for line, text in zip(laid.body, texts, strict=True)]
     return markdown.table([*laid.head, "starts that the last policy balances"], body)
 

@@ -53,11 +53,9 @@ def held(rows: pd.DataFrame) -> Iterator[list[str]]:
     """Of each sweep: the mean share of test episodes, how many policies hold nine in ten, and a minute."""
     for name, tested in rows.groupby("sweep", sort=False):
         shares = [episodes.count("1") / len(episodes) for episodes in tested["test_episodes"]]
-        low, high = statistics.interval(shares)
         counts = sum(share >= 0.9 for share in shares), int((tested["long_success_rate"] == 1).sum())
         n = len(tested)
-        share = f"{sum(shares) / n:.0%} [{low:.0%}, {high:.0%}]"
-        yield [str(name), str(n), share, *(counted_share(k, n) for k in counts)]
+        yield [str(name), str(n), statistics.mean_text(shares, ".0%"), *(counted_share(k, n) for k in counts)]
 
 
 def main() -> int:

@@ -16,7 +16,7 @@ from simbias.core.proportions import counted_share
 from simbias.core.records import Array
 from simbias.sweep import results
 from simbias.sweep.grid import expand
-from simbias.sweep.statistics import holm, interval, sign_test
+from simbias.sweep.statistics import holm, mean_text, sign_test
 
 MARGINS = (1.0, 2.0)  # experiments
 
@@ -31,7 +31,6 @@ def compared(names: tuple[str, str]) -> str:
     succeeded = [int((own["outcome"] == "succeeded").sum()) for own in trials]
     failed = [len(own) - count for own, count in zip(trials, succeeded, strict=True)]
     differences = other.mean(axis=0) - first.mean(axis=0)
-    low, high = interval(differences.tolist())
     cells = zip(first.T, other.T, strict=True)
     tests = holm({str(i): float(mannwhitneyu(a, b).pvalue) for i, (a, b) in enumerate(cells)})
     within = [f"{margin:g}" for margin in MARGINS if equivalent(differences, margin)]
@@ -41,7 +40,7 @@ def compared(names: tuple[str, str]) -> str:
         for name, count, own in zip(names, succeeded, trials, strict=True)
     ]
     lines += [
-        f"difference: {differences.mean():.2f} [{low:.2f}, {high:.2f}] experiments",
+        f"difference: {mean_text(differences, '.2f')} experiments",
         f"cells with more, with fewer: {above}, {below}; sign test, p = {sign_test(differences):.2f}",
         f"equivalent over cells within experiments of: {', '.join(within) or 'none'}",
         f"success, Fisher's exact test: p = {fisher_exact([succeeded, failed])[1]:.2f}",

@@ -15,6 +15,7 @@ from simbias.pictures.elements.layout import legend
 from simbias.pictures.elements.style import literal, plain, series_style
 from simbias.sweep.batches import Outcomes
 from simbias.sweep.figure import NONE_ENDED, FigureError, Picture, SweepFigure, SweptTrials
+from simbias.sweep.statistics import FEWEST
 from simbias.sweep.tables import cells, heads
 
 if TYPE_CHECKING:
@@ -57,8 +58,9 @@ def _caption(table: pd.DataFrame) -> str:
     fewer, paper = (table["mean"] < table["paper"]).sum(), table["paper"].notna().sum()
     against = f" In {fewer} of {paper} cells the mean is below the paper's." if paper else ""
     return (
-        f"Mean number of hardware experiments until success, with {CONFIDENCE:.0%} bootstrap intervals"
-        f"{papers}. {successes} of {trials} trials succeeded (above cells: of their own, if not all); "
+        f"Mean number of hardware experiments until success, with {CONFIDENCE:.0%} bootstrap intervals "
+        f"(of {FEWEST} trials at least, not all equal){papers}. {successes} of {trials} trials succeeded "
+        "(above cells: of their own, if not all); "
         "one that did not counts all that it may make."
         f"{against}"
     )
