@@ -17,7 +17,7 @@ class Interval(NamedTuple):
     high: float
 
 
-def wilson(k: int, n: int, confidence: float = CONFIDENCE) -> Interval:
+def wilson(k: float, n: int, confidence: float = CONFIDENCE) -> Interval:
     """The score interval of a share of which k of n were seen (E. B. Wilson, JASA 22, 1927); nan if n is 0.
 
     Its coverage is near the confidence on average over shares.

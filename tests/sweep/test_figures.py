@@ -12,6 +12,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 from simbias.config.build import build
+from simbias.core.proportions import wilson
 from simbias.pictures.elements.layout import legend
 from simbias.sweep.batches import Outcomes
 from simbias.sweep.figure import FigureError, SweptTrials
@@ -72,10 +73,12 @@ def test_comparisons_numbers_are_those_of_the_trials() -> None:
     assert numbers["experiments"].to_dict() == {"LQR": 2.5, "LQI": 3.0, "ideal": 3.0}
     assert numbers["mean_share"].to_dict() == pytest.approx({"LQR": 0.0, "LQI": 1 / 3, "ideal": 1.0})
     assert numbers["better LQI"].dropna().to_dict() == pytest.approx({"LQR": 1 / 6, "ideal": 1.0})
-    assert numbers.loc["ideal", "p LQI"] == pytest.approx(2 * 2 * 0.5**3)  # three pairs of two tests
-    assert numbers.loc["ideal", "holds_low"] == pytest.approx(0.438, abs=1e-3)
+    assert numbers["p LQI"].isna().all()  # of a single cell
+    assert numbers.loc["ideal", "holds_low"] == wilson(1, 1).low
     assert "the last policy lasts without a failure, long ones to their end" in picture.caption
-    assert picture.caption.endswith(" Policies hold most often with ideal 3 of 3 (44% to 100%).")
+    assert picture.caption.endswith(
+        " Policies hold most often with ideal 3 of 3 (21% to 100%), by Wilson intervals over cells."
+    )
     picture_of_two = Comparison("method").draw(made_up({"ideal": [half, all_of_16, all_of_16]}), ())
     (curve,) = picture_of_two.figure.axes[-1].lines
     assert np.asarray(curve.get_ydata()).tolist() == pytest.approx([0, 1 / 3, 2 / 3, 2 / 3])  # of all trials
@@ -86,7 +89,7 @@ def test_comparisons_numbers_are_those_of_the_trials() -> None:
     none = Comparison("method").draw(made_up({"LQI": [fallen] * 3}), ())
     assert none.caption.endswith(" No trial ends with a policy that holds.")
     tie = Comparison("method").draw(made_up({"LQI": [all_of_16, "", ""], "ideal": [all_of_16] * 3}), ())
-    assert "hold equally often with LQI 1 of 1 (21% to 100%), ideal 3 of 3 (44% to 100%)." in tie.caption
+    assert "hold equally often with LQI 1 of 1 (21% to 100%), ideal 3 of 3 (21% to 100%)," in tie.caption
     crashed = Comparison("method", ["LQR"]).draw(made_up({"LQR": [""] * 3, "ideal": [half] * 3}), ())
     assert crashed.numbers["method"].tolist() == ["ideal"]
     assert crashed.caption.endswith(" All trials of LQR are left out.")
@@ -96,8 +99,7 @@ def test_comparisons_numbers_are_those_of_the_trials() -> None:
     assert numbers["mean_share"].tolist() == [1.0] * 3
     counts = numbers[["trials", "raised", "judged", "holds"]]
     assert counts.to_numpy().tolist() == [[3, 0, 0, 0], [2, 0, 2, 2], [2, 0, 1, 1]]
-    assert numbers["p LQI"].dropna().to_dict() == {"ideal": 1.0}
-    assert numbers["p LQR"].isna().all()  # of policies that cannot hold
+    assert numbers[["p LQI", "p LQR"]].isna().all(axis=None)
     assert "takes 16 test episodes: 4 trials have fewer and do not count" in partly.caption
     assert partly.caption.endswith(" 2 trials ended without a test and are left out.")
     short = Comparison("method").draw(made_up({"LQI": ["1" * 10] * 3}), ())
@@ -105,6 +107,14 @@ def test_comparisons_numbers_are_those_of_the_trials() -> None:
     assert short.caption.endswith("one below the other.")
     alone = replace(made_up(texts), sweep=replace(sweep, axes=sweep.axes[1:]))  # no axis beside the methods
     pd.testing.assert_frame_equal(Comparison("method", ["LQI"]).draw(alone, ()).numbers, picture.numbers)
+    easy = made_up({"LQI": ["1" * 15 + "0"] * 3, "ideal": [all_of_16] * 3})
+    hard = made_up({"LQI": [fallen] * 3, "ideal": ["1" * 55 + "0" * 5] * 3})
+    tables = [each.table.assign(cell=str(i)) for i, each in enumerate([easy, *[hard] * 5])]
+    six = pd.concat(tables).sort_values("repetition", kind="stable")
+    for table in (six, six[1:]):  # without the first trial, cells of LQI are in another order
+        picture = Comparison("method", ["LQI"]).draw(replace(easy, table=table), ())
+        counted = picture.numbers.set_index("method").loc["ideal", ["holds_low", "better LQI", "p LQI"]]
+        assert counted.tolist() == pytest.approx([wilson(6, 6).low, 1.0, 2 * 0.5**6])  # cells, not trials
     with pytest.raises(FigureError, match="no trial of the sweep ran to an end"):
         Comparison("method").draw(made_up({"LQI": [""] * 3}), ())
     untested = made_up({"LQI": [half] * 3})

@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import PercentFormatter
 from matplotlib.transforms import ScaledTranslation
 
-from simbias.core.proportions import counted_share, wilson
+from simbias.core.proportions import wilson
 from simbias.core.records import Array
 from simbias.pictures.elements.style import SIMULATION, plain, series_style
 from simbias.sweep.batches import Outcomes
@@ -47,9 +47,10 @@ class Comparison(SweepFigure):
     A trial's score is the share of its test episodes that its last policy passes: they succeed, and last to
     their end. It counts as a success where that policy holds (`simbias.sweep.statistics.holds`). Trials that
     raised an error or ended without a test are left out, and where `holds` counts those with fewer episodes
-    than it takes. Above: mean score in each cell, and the interquartile mean with its bootstrap interval over
-    cells; of a single cell there is none. Below: performance profiles, and the share of trials that are a
-    success within so many experiments.
+    than it takes. Above: mean score in each cell, and the interquartile mean with its bootstrap interval.
+    Below: performance profiles, and the share of trials that are a success within so many experiments.
+    Intervals and tests are over cells, since trials of a cell may be copies of one, as those of LQR are: a
+    Wilson interval is that of as many trials as there are cells, and of a single cell there is no test.
 
     Parameters
     ----------
@@ -57,7 +58,8 @@ class Comparison(SweepFigure):
         Whose points are compared.
     references
         Points that all others are held against: by the probability of improvement, and by exact sign tests of
-        pairs of one cell and repetition, corrected by Holm over all tests against one reference.
+        the cells' shares of trials that are a success, corrected by Holm over all tests against one
+        reference.
     curves
         Points whose curves are drawn; none named: the first eight.
     """
@@ -112,24 +114,27 @@ def _scored(table: pd.DataFrame, bar: float) -> pd.DataFrame:
 
 
 class _Method:
-    """The trials of a method: scores (r, c) of as many repetitions as all of its cells have."""
+    """The trials of a method, with scores and the share that holds in each cell, by the others' labels."""
 
     def __init__(self, trials: pd.DataFrame, others: list[str]) -> None:
         self.trials = trials[trials["score"].notna()].set_index([*others, "repetition"])
         self.raised = int((trials["outcome"] == "error").sum())
         grouped: Any = trials.groupby(others, sort=False) if others else [((), trials)]
-        cells = {name: own["score"].to_numpy() for name, own in grouped}  # by the labels of the others
-        repetitions = min(map(len, cells.values()))
-        self.cells = [*cells]
-        self.scores: Array = np.array([cell[:repetitions] for cell in cells.values()]).T
-        self.tried = ~np.isnan(self.scores).all(axis=0)  # cells (c,) in which a trial ran to its end
+        cells = {name: own.set_index("repetition") for name, own in grouped}
+        self.scores = {name: own["score"] for name, own in cells.items()}
+        self.holding = {name: float(own["holds"].mean()) for name, own in cells.items()}
+        self.tried = [name for name, scores in self.scores.items() if scores.notna().any()]
+
+    def matrix(self, cells: Sequence[Any]) -> Array:
+        """Scores (r, c) in these cells, nan of trials that are not there."""
+        return pd.DataFrame([self.scores[cell] for cell in cells]).to_numpy().T
 
     def row(self, name: str) -> dict[str, Any]:
         """The method in numbers."""
         held, judged = int(self.trials["holds"].sum()), int(self.trials["holds"].count())
-        scores = self.scores[:, self.tried]
+        scores, cells = self.matrix(self.tried), int(np.isfinite([*self.holding.values()]).sum())
         low, high = bootstrap(interquartile_mean, scores)
-        least, most = wilson(held, judged)
+        least, most = wilson(cells * held / max(judged, 1), cells)
         return {
             "method": name,
             "trials": len(self.trials),
@@ -147,18 +152,18 @@ class _Method:
 
 
 def _against(methods: dict[str, _Method], reference: _Method) -> pd.DataFrame:
-    """Probability of improvement over a reference, its interval, and Holm's p of the pairs' sign tests."""
+    """Probability of improvement over a reference, its interval, and Holm's p of the cells' sign tests."""
     rows, p = {}, {}
     for name, method in methods.items():
-        if method is reference or method.scores.shape[1] != reference.scores.shape[1]:
+        cells = [cell for cell in method.tried if cell in reference.tried]
+        if method is reference or not cells:
             continue
-        tried = method.tried & reference.tried
-        both = method.scores[:, tried], reference.scores[:, tried]
+        both = method.matrix(cells), reference.matrix(cells)
         low, high = bootstrap(probability_of_improvement, *both)
         rows[name] = {"better": probability_of_improvement(*both), "better_low": low, "better_high": high}
-        pairs = (method.trials["holds"] - reference.trials["holds"]).dropna()
-        if len(pairs):
-            p[name] = sign_test(pairs.tolist())
+        differences = [method.holding[cell] - reference.holding[cell] for cell in cells]
+        if np.isfinite(differences).sum() > 1:
+            p[name] = sign_test(differences)
     table = pd.DataFrame.from_dict(rows, orient="index")
     return table.assign(p=pd.Series(holm(p), dtype=float))
 
@@ -167,9 +172,10 @@ def _caption(numbers: pd.DataFrame, sweep: Sweep) -> str:
     """The caption, from the numbers."""
     shares = numbers["holds"] / numbers["judged"]
     best = numbers[shares == shares.max()].to_dict("records")
-    held = ", ".join(f"{row['method']} {counted_share(row['holds'], row['judged'])}" for row in best)
+    held = ", ".join(map(_held, best))
     alike = len(best) == shares.count() > 1
-    most = f" Policies hold {'equally' if alike else 'most'} often with {held}."
+    often = f"{'equally' if alike else 'most'} often"
+    most = f" Policies hold {often} with {held}, by Wilson intervals over cells."
     if not shares.any():
         most = " No trial ends with a policy that holds." * bool(shares.count())
     few = int((numbers["trials"] - numbers["judged"]).sum())
@@ -181,6 +187,14 @@ def _caption(numbers: pd.DataFrame, sweep: Sweep) -> str:
         "Below: share of trials with more than so much; share of trials that end within so many experiments "
         f"with a policy that holds (lower Wilson limit above {sweep.report.bar:.0%}{takes}); "
         f"curves that are the same lie one below the other.{most}"
+    )
+
+
+def _held(row: dict[Any, Any]) -> str:
+    """How many of a method's trials end with a policy that holds."""
+    return (
+        f"{row['method']} {row['holds']} of {row['judged']} "
+        f"({row['holds_low']:.0%} to {row['holds_high']:.0%})"
     )
 
 
@@ -199,12 +213,9 @@ def _figure(methods: dict[str, _Method], numbers: pd.DataFrame, curves: dict[str
 
 def _draw_cells(axes: Axes, methods: dict[str, _Method]) -> None:
     """A row for each method, a column for each cell."""
-    names = next(iter(methods.values())).cells
-    shares = np.full((len(methods), len(names)), np.nan)
-    for row, method in enumerate(methods.values()):
-        for name, share in zip(method.cells, pd.DataFrame(method.scores).mean(), strict=True):
-            if name in names:
-                shares[row, names.index(name)] = share
+    means = [{cell: own.mean() for cell, own in method.scores.items()} for method in methods.values()]
+    names = [*dict.fromkeys(cell for own in means for cell in own)]
+    shares = np.array([[own.get(cell, np.nan) for cell in names] for own in means])
     axes.imshow(shares, cmap="Blues", vmin=0.0, vmax=1.25, aspect="auto")
     for (row, column), share in np.ndenumerate(shares):
         if np.isfinite(share):
@@ -237,7 +248,7 @@ def _draw_curves(figure: SubFigure, methods: dict[str, _Method]) -> None:
     for index, (name, method) in enumerate(methods.items()):
         color, marker = series_style(index)
         style = {"color": color, "marker": marker, "markersize": 4, "linewidth": 1.4}
-        profile = performance_profile(method.scores, THRESHOLDS)
+        profile = performance_profile(method.trials["score"].to_numpy(), THRESHOLDS)
         handles[name] = _draw_curve(left, THRESHOLDS, profile, markevery=(2 * index, 20), **style)
         if judged := method.trials["holds"].count():
             held = method.trials.loc[method.trials["holds"] == 1, "experiments"]
