@@ -165,8 +165,8 @@ def test_last_policies_are_dots_that_no_other_hides() -> None:
 
 @pytest.mark.filterwarnings("error")
 def test_labels_may_be_long_and_cells_alike_when_joined() -> None:
-    points = "{no noise: {hardware.inertia_error: 0.1}, no: {hardware.inertia_error: 0.2}}"
-    long = "so much more " * 8
+    points = "{no noise: {hardware.inertia_error: 0.1}, no $_$: {hardware.inertia_error: 0.2}}"
+    long = "so much more $_$ " * 8
     others = f"{{learned: {{bias: gp}}, noise learned: {{bias: none}}, {long}: {{bias: mean}}}}"
     sweep = expand([f"+sweep={{trials: 1, axes: {{a: {{points: {points}}}, b: {{points: {others}}}}}}}"])
     ended = {"repetition": 0, "iterations": 1, "experiments": 2, **LATER, "test_episodes": "1111"}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from textwrap import fill, wrap
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from matplotlib.transforms import ScaledTranslation
 
 from simbias.core.proportions import wilson
 from simbias.core.records import Array
-from simbias.pictures.elements.style import SIMULATION, plain, series_style
+from simbias.pictures.elements.style import SIMULATION, literal, plain, series_style
 from simbias.sweep.batches import Outcomes
 from simbias.sweep.figure import UNTESTED, FigureError, Picture, SweepFigure, SweptTrials
 from simbias.sweep.grid import Sweep
@@ -200,7 +200,7 @@ def _held(row: dict[Any, Any]) -> str:
 
 def _figure(methods: dict[str, _Method], numbers: pd.DataFrame, curves: dict[str, _Method]) -> Figure:
     """The figure of two rows."""
-    above = ROW * sum(len(wrap(name, LETTERS)) for name in methods) + REST
+    above = ROW * sum(1 + _label(*each).count("\n") for each in methods.items()) + REST
     figure = Figure(figsize=(WIDTH, above + CURVES), layout="constrained")
     rows: Any = figure.subfigures(2, 1, height_ratios=[above, CURVES])
     top, bottom = rows
@@ -209,6 +209,11 @@ def _figure(methods: dict[str, _Method], numbers: pd.DataFrame, curves: dict[str
     _draw_means(mean, numbers)
     _draw_curves(bottom, curves)
     return figure
+
+
+def _label(name: str, method: _Method) -> str:
+    """A method's name in lines."""
+    return fill(literal(name), LETTERS)
 
 
 def _draw_cells(axes: Axes, methods: dict[str, _Method]) -> None:
@@ -221,8 +226,9 @@ def _draw_cells(axes: Axes, methods: dict[str, _Method]) -> None:
         if np.isfinite(share):
             color = "white" if share > 0.8 else "0.25"
             axes.text(column, row, f"{100 * share:.0f}", ha="center", va="center", fontsize=8, color=color)
-    axes.set_xticks(range(len(names)), [fill(" ".join(name), 26) for name in names], fontsize=8, **SLANTED)
-    axes.set_yticks(range(len(methods)), [fill(name, LETTERS) for name in methods])
+    ticks = [fill(literal(" ".join(name)), 26) for name in names]
+    axes.set_xticks(range(len(names)), ticks, fontsize=8, **SLANTED)
+    axes.set_yticks(range(len(methods)), [_label(*each) for each in methods.items()])
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
     axes.set_title("% of test episodes passed", fontsize=9)
@@ -269,7 +275,7 @@ def _draw_curves(figure: SubFigure, methods: dict[str, _Method]) -> None:
         plain(axes, "both")
     figure.legend(
         handles.values(),
-        [fill(name, LETTERS) for name in handles],
+        [_label(name, methods[name]) for name in handles],
         loc="outside right center",
         fontsize=8,
         frameon=False,
