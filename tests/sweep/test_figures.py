@@ -88,8 +88,14 @@ def test_comparisons_numbers_are_those_of_the_trials() -> None:
         assert ((one - other) * 72 / alike.figure.dpi)[:, 1] == pytest.approx(1.6)  # pt, about a line's width
     none = Comparison("method").draw(made_up({"LQI": [fallen] * 3}), ())
     assert none.caption.endswith(" No trial ends with a policy that holds.")
-    tie = Comparison("method").draw(made_up({"LQI": [all_of_16, "", ""], "ideal": [all_of_16] * 3}), ())
-    assert "hold equally often with LQI 1 of 1 (21% to 100%), ideal 3 of 3 (21% to 100%)," in tie.caption
+    tie = Comparison("method").draw(made_up({"LQI": [all_of_16, "-", "-"], "ideal": [all_of_16] * 3}), ())
+    assert "hold equally often with LQI 1 of 1 (21% to 100%), ideal 3 of 3 (21% to 100%), by" in tie.caption
+    raised = Comparison("method").draw(made_up({"LQI": [all_of_16, "", ""], "ideal": [all_of_16] * 3}), ())
+    assert "hold most often with ideal 3 of 3 (21% to 100%), by" in raised.caption  # of LQI 1 of 1
+    labels = [text.get_text() for text in raised.figure.axes[0].get_yticklabels()]
+    assert labels == ["LQI, 2 raised", "ideal"]
+    only = Comparison("method").draw(made_up({"LQI": [all_of_16, "", ""]}), ())
+    assert "with LQI 1 of 1 (21% to 100%, 2 raised), by" in only.caption
     crashed = Comparison("method", ["LQR"]).draw(made_up({"LQR": [""] * 3, "ideal": [half] * 3}), ())
     assert crashed.numbers["method"].tolist() == ["ideal"]
     assert crashed.caption.endswith(" All trials of LQR are left out.")
@@ -194,6 +200,9 @@ def test_legends_name_their_axes_and_ticks_break_at_underscores() -> None:
     rows = [
         {**dict(zip(("bias", "evaluation", "x"), cell.labels, strict=True)), **ended} for cell in sweep.cells
     ]
+    raised = [{**row, "outcome": "error"} for row in rows[:2]]
+    texts = Experiments().draw(swept(sweep, [*rows[1:], *raised]), ()).figure.axes[0].texts
+    assert [text.get_text() for text in texts] == ["0/0\n1 raised", "1/1\n1 raised"]
     figure = Experiments().draw(swept(sweep, rows), ()).figure
     (axes,), (legend,) = figure.axes, figure.legends
     assert legend.get_title().get_text() == "evaluation, d/inertia error"

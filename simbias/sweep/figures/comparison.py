@@ -170,7 +170,7 @@ def _against(methods: dict[str, _Method], reference: _Method) -> pd.DataFrame:
 
 def _caption(numbers: pd.DataFrame, sweep: Sweep) -> str:
     """The caption, from the numbers."""
-    shares = numbers["holds"] / numbers["judged"]
+    shares = numbers["holds"] / (numbers["judged"] + numbers["raised"])  # where nothing ended, nothing holds
     best = numbers[shares == shares.max()].to_dict("records")
     held = ", ".join(map(_held, best))
     alike = len(best) == shares.count() > 1
@@ -191,11 +191,10 @@ def _caption(numbers: pd.DataFrame, sweep: Sweep) -> str:
 
 
 def _held(row: dict[Any, Any]) -> str:
-    """How many of a method's trials end with a policy that holds."""
-    return (
-        f"{row['method']} {row['holds']} of {row['judged']} "
-        f"({row['holds_low']:.0%} to {row['holds_high']:.0%})"
-    )
+    """How many of a method's trials end with a policy that holds, and how many raised an error."""
+    raised = f", {row['raised']} raised" * bool(row["raised"])
+    low, high = row["holds_low"], row["holds_high"]
+    return f"{row['method']} {row['holds']} of {row['judged']} ({low:.0%} to {high:.0%}{raised})"
 
 
 def _figure(methods: dict[str, _Method], numbers: pd.DataFrame, curves: dict[str, _Method]) -> Figure:
@@ -212,8 +211,8 @@ def _figure(methods: dict[str, _Method], numbers: pd.DataFrame, curves: dict[str
 
 
 def _label(name: str, method: _Method) -> str:
-    """A method's name in lines."""
-    return fill(literal(name), LETTERS)
+    """A method's name, and how many of its trials raised an error, in lines."""
+    return fill(literal(name) + f", {method.raised} raised" * bool(method.raised), LETTERS)
 
 
 def _draw_cells(axes: Axes, methods: dict[str, _Method]) -> None:

@@ -36,7 +36,7 @@ class Experiments(SweepFigure):
     """Table II: mean number of experiments of each cell, along the first axis that is not in columns.
 
     Bars are bootstrap intervals, hollow markers the paper's means; where not every trial succeeded, a
-    fraction says how many did.
+    fraction says how many did, and how many raised an error.
     """
 
     reads_trials = False
@@ -60,7 +60,7 @@ def _caption(table: pd.DataFrame) -> str:
     return (
         f"Mean number of hardware experiments until success, with {CONFIDENCE:.0%} bootstrap intervals "
         f"(of {FEWEST} trials at least, not all equal){papers}. {successes} of {trials} trials succeeded "
-        "(above cells: of their own, if not all); "
+        "(above cells: of their own, if not all, and how many raised an error); "
         "one that did not counts all that it may make."
         f"{against}"
     )
@@ -117,9 +117,9 @@ def _curve(axes: Axes, own: pd.DataFrame, offset: float, index: int, name: str, 
     if not np.isnan(paper).all():
         label = f"{name}, paper" if name else "paper"
         axes.plot(x + PAPER_ASIDE, paper, marker, color=color, mfc="white", markersize=5, label=label)
-    for at, top, row in zip(x, np.fmax(high, mean), own.to_dict("records"), strict=True):
-        if row["succeeded"] < row["trials"]:
-            text = f"{row['succeeded']}/{row['trials']}"
+    for at, top, row in zip(x, np.fmax(np.fmax(high, mean), 0), own.to_dict("records"), strict=True):
+        if row["succeeded"] < row["trials"] or row["raised"]:
+            text = f"{row['succeeded']}/{row['trials']}" + f"\n{row['raised']} raised" * bool(row["raised"])
             fraction = axes.annotate(text, (at, top), (0, 5), textcoords="offset points", fontsize=7)
             fraction.set(ha="center", va="bottom", rotation=90 * narrow)
 
