@@ -121,6 +121,9 @@ def test_comparisons_numbers_are_those_of_the_trials() -> None:
         picture = Comparison("method", ["LQI"]).draw(replace(easy, table=table), ())
         counted = picture.numbers.set_index("method").loc["ideal", ["holds_low", "better LQI", "p LQI"]]
         assert counted.tolist() == pytest.approx([wilson(6, 6).low, 1.0, 2 * 0.5**6])  # cells, not trials
+    ten = pd.concat([hard.table[:1].assign(method=str(i)) for i in range(10)])
+    eight = Comparison("method").draw(replace(hard, table=ten), ())
+    assert eight.caption.endswith(" Curves are of 8 of 10 methods.")
     with pytest.raises(FigureError, match="no trial of the sweep ran to an end"):
         Comparison("method").draw(made_up({"LQI": [""] * 3}), ())
     untested = made_up({"LQI": [half] * 3})

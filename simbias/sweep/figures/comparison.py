@@ -100,6 +100,8 @@ class Comparison(SweepFigure):
         curves = {name: own[name] for name in (self._curves or [*own][:MOST]) if name in own}
         figure = _figure(own, numbers, curves)
         caption = _caption(numbers, trials.sweep)
+        if len(curves) < len(own):
+            caption += f" Curves are of {len(curves)} of {len(own)} methods."
         if gone := [str(name) for name in groups.groups if name not in own]:
             caption += f" All trials of {', '.join(gone)} are left out."
         return Picture(figure, numbers, caption + untested(row["test_episodes"] for row in trials.rows))
