@@ -25,9 +25,9 @@ from simbias.core.ranges import Share
 from simbias.sweep.axes import Axis, label, read_axis
 from simbias.sweep.figure import SweepFigure
 from simbias.sweep.statistics import BAR
-from simbias.trial.policy_test import LASTS
 
 MOST_TRIALS = 100_000  # of a sweep: more take minutes to list, and years to run
+LASTS = "lasts for the task's horizon without a failure"  # in a test episode, without success of the task's
 SEED_DIGITS = 12  # hexadecimal: trials of a cell do not meet the same seed by chance
 FileName = Annotated[str, Field(pattern=r"^\w[\w-]*$")]
 Measure = Literal[

@@ -33,7 +33,6 @@ class PolicyTest:
 
 
 NO_TEST = PolicyTest()
-LASTS = "lasts without a failure"  # all that counts where a task has no success of its own
 
 
 class Episode(NamedTuple):
@@ -94,7 +93,8 @@ class PolicyTestResult:
         """The result in one sentence."""
         succeeded = counted_share(self.successes.count("1"), len(self.episodes))
         lasting, count = all(each.succeeds is None for each in self.episodes), len(self.long_episodes)
-        said = f"Its last policy {LASTS if lasting else 'succeeds'} in {succeeded} test episodes"
+        does = "lasts without a failure" if lasting else "succeeds"
+        said = f"Its last policy {does} in {succeeded} test episodes"
         if not count:
             return f"{said} of {self.horizon:g} s."
         lasted = counted_share(sum(each.failure is None for each in self.long_episodes), count)

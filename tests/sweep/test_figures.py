@@ -75,7 +75,8 @@ def test_comparisons_numbers_are_those_of_the_trials() -> None:
     assert numbers["better LQI"].dropna().to_dict() == pytest.approx({"LQR": 1 / 6, "ideal": 1.0})
     assert numbers["p LQI"].isna().all()  # of a single cell
     assert numbers.loc["ideal", "holds_low"] == wilson(1, 1).low
-    assert "the last policy lasts without a failure, long ones to their end" in picture.caption
+    lasts = "the last policy lasts for the task's horizon without a failure, long ones to their end"
+    assert lasts in picture.caption
     assert picture.caption.endswith(
         " Policies hold most often with ideal 3 of 3 (21% to 100%), by Wilson intervals over cells."
     )
@@ -154,7 +155,7 @@ def test_last_policies_are_dots_that_no_other_hides() -> None:
     assert picture.numbers["experiments"].tolist() == [4, 5, 4, 5]
     shown = ("of 4 to 6 test episodes", "2/4 [15%, 85%] trials end", "in 0 of 2 cells")
     shown += (" 1 trial ended without a test and is left out.",)
-    for words in ("experiments until success, without it all", "lasts without a failure", *shown):
+    for words in ("experiments until success, without it all", "lasts for the task's horizon", *shown):
         assert words in picture.caption
     with pytest.raises(FigureError, match=r"policy_test\.episodes=20"):
         LastPolicies().draw(made_up({"slope 0.02 rad": ["", ""]}), ())

@@ -19,8 +19,8 @@ from simbias.pictures.elements.layout import legend
 from simbias.pictures.elements.style import HARDWARE, LIMIT, SIMULATION, literal, plain
 from simbias.sweep.batches import Outcomes
 from simbias.sweep.figure import UNTESTED, FigureError, Picture, SweepFigure, SweptTrials
+from simbias.sweep.grid import LASTS
 from simbias.sweep.tables import RELIABLE, numbers_of_episodes, share, success_rate, untested
-from simbias.trial.policy_test import LASTS
 
 ROW, REST, WIDTH = 0.3, 1.1, 7.2  # in, of a cell and of all else
 LETTERS, LINE = 44, 0.17  # of a line of a cell's label; in, its height
@@ -33,7 +33,8 @@ COLORS = {"experiments": SIMULATION, "success_rate": HARDWARE}
 class LastPolicies(SweepFigure):
     """Each trial of each cell: its experiments, and the share of test episodes that its last policy passes.
 
-    A dot is a trial, a bar the mean of its cell.
+    A dot is a trial, a bar the mean of its cell. A long test episode of a task without success of its own
+    counts if it lasts for the task's horizon, also if it fails later; `Comparison` asks for its end.
     """
 
     reads_trials = False
@@ -63,7 +64,8 @@ class LastPolicies(SweepFigure):
         )
         episodes = numbers_of_episodes(row["test_episodes"] for row in rows)
         success = trials.sweep.success
-        words = "test episodes that last" if success == LASTS else "success rate of the last policy"
+        lasting = "test episodes that last for the horizon"
+        words = lasting if success == LASTS else "success rate of the last policy"
         figure = _figure(numbers, [" ".join(labels) for labels in cells], words)
         caption = _caption(numbers, episodes, success) + untested(row["test_episodes"] for row in trials.rows)
         return Picture(figure, numbers, caption)
