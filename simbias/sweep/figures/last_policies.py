@@ -20,7 +20,7 @@ from simbias.pictures.elements.style import HARDWARE, LIMIT, SIMULATION, literal
 from simbias.sweep.batches import Outcomes
 from simbias.sweep.figure import UNTESTED, FigureError, Picture, SweepFigure, SweptTrials
 from simbias.sweep.grid import LASTS
-from simbias.sweep.tables import RELIABLE, numbers_of_episodes, share, success_rate, untested
+from simbias.sweep.tables import RELIABLE, numbers_of_episodes, success_rate, untested
 
 ROW, REST, WIDTH = 0.3, 1.1, 7.2  # in, of a cell and of all else
 LETTERS, LINE = 44, 0.17  # of a line of a cell's label; in, its height
@@ -78,7 +78,7 @@ def _caption(numbers: pd.DataFrame, episodes: str, success: str) -> str:
     return (
         "Dots: trials, filled where they succeeded; bars: means. Left: hardware experiments until success, "
         "without it all that a trial may make. Right: the share of "
-        f"{episodes} test episodes in which its last policy {success}. {share(enough.sum(), len(numbers))} "
+        f"{episodes} test episodes in which its last policy {success}. {enough.sum()} of {len(numbers)} "
         f"trials end with a policy that does in at least {RELIABLE:.0%} of them (dashed); nine in ten "
         f"trials do in {solved.sum()} of {len(solved)} cells."
     )
