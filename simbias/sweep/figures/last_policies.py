@@ -64,7 +64,7 @@ class LastPolicies(SweepFigure):
         )
         episodes = numbers_of_episodes(row["test_episodes"] for row in rows)
         success = trials.sweep.success
-        lasting = "test episodes that last for the horizon"
+        lasting = "test episodes that last\nfor the horizon"
         words = lasting if success == LASTS else "success rate of the last policy"
         figure = _figure(numbers, [" ".join(labels) for labels in cells], words)
         caption = _caption(numbers, episodes, success) + untested(row["test_episodes"] for row in trials.rows)
