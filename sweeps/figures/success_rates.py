@@ -53,7 +53,7 @@ class SuccessRates(SweepFigure):
     x, y
         The two states whose starts are varied; the others start at the task's mean.
     experiments
-        With each policy from each start.
+        With each policy from each start. Where these always end alike, as without noise, they count as one.
     hardware
         Label of the cell on whose hardware all policies are tried.
     """
@@ -105,6 +105,8 @@ class SuccessRates(SweepFigure):
         successes = np.array([batch.successes for batch in outcomes]).reshape(
             -1, self._experiments, self._y.points, self._x.points
         )
+        if (successes == successes[:, :1]).all():
+            successes = successes[:, :1]
         counts = np.count_nonzero(successes, axis=1)  # (policies, y, x)
         y, x = self._grid()
         numbers = pd.concat(
@@ -115,7 +117,7 @@ class SuccessRates(SweepFigure):
                     "learning": row["outcome"],
                     self._x.state: x.ravel(),
                     self._y.state: y.ravel(),
-                    "experiments": self._experiments,
+                    "experiments": successes.shape[1],
                     "succeeded": own.ravel(),
                 }
             )
@@ -181,11 +183,14 @@ class SuccessRates(SweepFigure):
             )
         n = int(numbers.groupby(["cell", self._x.state, self._y.state])["experiments"].sum().max())
         half = max(np.ptp(wilson(k, n)) / 2 for k in range(n + 1))
+        alike = ", where those with one policy are all alike and count as one"
+        alike *= bool((numbers["experiments"] < self._experiments).all())
         return (
             f"Success rate on the same hardware of the policies with which learning ended, "
             f"over starts at {self._x.points} x {self._y.points} values of {self._x.state} and "
-            f"{self._y.state}. {'; '.join(sentences)}. There are {n} experiments from each start: a "
-            f"{CONFIDENCE:.0%} Wilson interval reaches at most {half:.2f} to either side of its middle. "
+            f"{self._y.state}. {'; '.join(sentences)}. There are {n} experiments from each start{alike}: if "
+            f"they are independent, a {CONFIDENCE:.0%} Wilson interval reaches at most {half:.2f} to either "
+            "side of its middle. "
             "Last panel: each policy over the whole grid, with its interval."
         )
 

@@ -294,6 +294,10 @@ def test_maps_of_many_cells_are_in_rows() -> None:
     assert figure.get_figwidth() < 12.0
     assert [line.get_xdata()[0] for line in aside.lines if line.get_marker() == "o"] == [*range(6)]
     assert max(aside.get_yticks()) == 1.0
+    two = SuccessRates(build(sweep.base).task, sweep.cells, *ranges, 2, labels[0])
+    copies = two.draw(swept(sweep, rows), [outcomes[0]] * 12)
+    assert set(copies.numbers["experiments"]) == {1}
+    assert "from each start, where those with one policy are all alike" in copies.caption
 
 
 def test_labels_longer_than_the_figure_are_wrapped() -> None:
