@@ -47,7 +47,8 @@ class Comparison(SweepFigure):
     A trial's score is the share of its test episodes that its last policy passes: they succeed, and last to
     their end. It counts as a success where that policy holds (`simbias.sweep.statistics.holds`). Trials that
     raised an error or ended without a test are left out, and where `holds` counts those with fewer episodes
-    than it takes. Above: mean score in each cell, and the interquartile mean with its bootstrap interval.
+    than it takes; only where the caption says which methods hold most often, errors count against them.
+    Above: mean score in each cell, and the interquartile mean with its bootstrap interval.
     Below: performance profiles, and the share of trials that are a success within so many experiments.
     Intervals and tests are over cells, since trials of a cell may be copies of one, as those of LQR are: a
     Wilson interval is that of as many trials as there are cells, and of a single cell there is no test.
