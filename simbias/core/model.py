@@ -87,6 +87,10 @@ class Nominal(ABC):
         """The model as it is while its joints slide: at rest, dry friction is steeper than any damping."""
         return self
 
+    def without_input_limits(self) -> Nominal:
+        """The model that takes any input: motors before it may give more than is commanded."""
+        return self
+
     def draw(self, rng: np.random.Generator) -> Nominal:
         """A model that might be the right one, as far as its parameters are known; this one if they are."""
         if not self.parameters:

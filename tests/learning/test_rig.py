@@ -80,11 +80,15 @@ def test_a_mujoco_model_has_motors_too(tmp_path: Path) -> None:
     model = Mujoco(task, mjcf(tmp_path), uncertainty={"pole.mass": 0.2})
     rig = Rig(task, model, {"force": Motor(gain=0.2, delay=0.02)}, {"angle": Sensor(offset=0.1)})
     half = with_values(rig, **{"force.gain": 0.5})
-    x, u = np.array([[0.1, 0.05, 0.3, 0.4]]), np.array([[4.0]])
+    x, u = np.array([[0.1, 0.05, 0.3, 0.4]]), np.array([[20.0]])
     np.testing.assert_allclose(half.step(x, u), model.step(x, 0.5 * u), rtol=1e-9)
+    free = Mujoco(task, mjcf(tmp_path, actuators='<motor name="push" joint="slider"/>'))
+    strong = with_values(rig, **{"force.gain": 1.5})  # it acts beyond the limit of what is commanded
+    np.testing.assert_allclose(strong.step(x, u), free.step(x, 1.5 * u), rtol=1e-9)
+    assert strong.step(x, u)[0, 2] > model.step(x, u)[0, 2] + 0.05
     rng = np.random.default_rng(0)
-    rollout = Rollout(0.1 * rng.standard_normal((31, 4)), rng.standard_normal((30, 1)))
-    predicted_as_plain([PredictionModel(half)], Windows.of([rollout], 10, 5), 1e-8)
+    rollout = Rollout(0.1 * rng.standard_normal((31, 4)), rng.uniform(-20, 20, (30, 1)))
+    predicted_as_plain([PredictionModel(half), PredictionModel(strong)], Windows.of([rollout], 10, 5), 1e-8)
 
 
 def test_a_zero_is_of_one_recording(study: Study) -> None:

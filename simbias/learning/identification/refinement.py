@@ -37,6 +37,10 @@ class Refined(Nominal):
         """The model with other values (k,) of its parameters."""
         return Refined(self._model.with_parameters(values), self._frames)
 
+    def without_input_limits(self) -> Refined:
+        """That of the model, in as many frames."""
+        return Refined(self._model.without_input_limits(), self._frames)
+
 
 def moved_by_shorter_steps(
     task: Task,

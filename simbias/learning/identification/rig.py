@@ -52,6 +52,11 @@ class Motor:
     load: NonNegative = 0.0  # friction over the torque
     zero: NonNegative = 0.0  # of the offset: another one in each recording
 
+    @property
+    def may_exceed_commands(self) -> bool:
+        """Whether more may act than is commanded, also where commands are at their limits."""
+        return any((self.gain, self.offset, self.zero, self.stribeck, self.load))
+
 
 @dataclass(frozen=True)
 class Sensor:
@@ -88,7 +93,9 @@ class Rig(Nominal):
         _check_names(each, _names(nominal.parameters), "identification.each")
         if motors and nominal.state_size:
             raise ValueError("identification.motors: the nominal model has lag and delay of its own")
-        self.mechanics, self._time_step = nominal, task.time_step  # the model between motors and sensors
+        stronger = any(motor.may_exceed_commands for motor in motors.values())
+        self.mechanics = nominal.without_input_limits() if stronger else nominal  # between motors and sensors
+        self._time_step = task.time_step
         self._states, self._inputs = states, inputs
         brakes = [motors[u].velocity if u in motors else None for u in inputs]
         self._brakes = tuple(None if name is None else states.index(name) for name in brakes)

@@ -151,6 +151,14 @@ class Mechanism:
         put_values(changed.model, values, self._data)
         return changed
 
+    def without_input_limits(self) -> Mechanism:
+        """The mechanism whose actuators take any input; files that are written of it keep the limits."""
+        changed = self.with_values({})
+        for i, unit in zip(self.control_places.tolist(), self.units.tolist(), strict=True):
+            for limited, place, _ in _limits(changed.model, i, unit):
+                limited[place] = 0
+        return changed
+
     def text(self) -> str:
         """The mechanism as MJCF."""
         return mjcf(self._file, self._added, self.model)
@@ -232,17 +240,23 @@ def _is_on_joint(model: Any, i: int) -> bool:
 
 
 def _reach(model: Any, i: int, unit: float) -> tuple[float, float]:
-    """Least and largest input of an actuator, as its file limits control and, of a motor, the force."""
-    ranges = [(-np.inf, np.inf)]
-    if model.actuator_ctrllimited[i]:
-        ranges.append(unit * model.actuator_ctrlrange[i])
-    motor = _is_motor(model, i)
-    if motor and model.actuator_forcelimited[i]:
-        ranges.append(_gear(model, i) * model.actuator_forcerange[i])
-    kind, target = model.actuator_trntype[i], model.actuator_trnid[i, 0]
-    if motor and _is_on_joint(model, i) and model.jnt_actfrclimited[target]:
-        ranges.append(model.jnt_actfrcrange[target])
-    if motor and kind == mujoco().mjtTrn.mjTRN_TENDON and model.tendon_actfrclimited[target]:
-        ranges.append(model.tendon_actfrcrange[target])
-    low, high = np.sort(ranges, axis=1).T  # a gear may be negative
+    """Least and largest input of an actuator, as its file limits it."""
+    ranges = [limits for limited, place, limits in _limits(model, i, unit) if limited[place]]
+    low, high = np.sort([(-np.inf, np.inf), *ranges], axis=1).T  # a gear may be negative
     return float(low.max()), float(high.min())
+
+
+def _limits(model: Any, i: int, unit: float) -> list[tuple[Any, int, Array]]:
+    """Limits of an actuator's control and, of a motor, of its force.
+
+    Each holds if its flag does: flags, the place among them, and the input's range.
+    """
+    found = [(model.actuator_ctrllimited, i, unit * model.actuator_ctrlrange[i])]
+    if _is_motor(model, i):
+        kind, target = model.actuator_trntype[i], int(model.actuator_trnid[i, 0])
+        found.append((model.actuator_forcelimited, i, _gear(model, i) * model.actuator_forcerange[i]))
+        if _is_on_joint(model, i):
+            found.append((model.jnt_actfrclimited, target, model.jnt_actfrcrange[target]))
+        elif kind == mujoco().mjtTrn.mjTRN_TENDON:
+            found.append((model.tendon_actfrclimited, target, model.tendon_actfrcrange[target]))
+    return found

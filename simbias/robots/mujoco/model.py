@@ -117,9 +117,17 @@ class Mujoco(Nominal):
         """The model without friction of its joints; contacts keep theirs."""
         return self._with({f"{name}.friction": 0.0 for name in names_of(self._robot.model, "joint")})
 
+    def without_input_limits(self) -> Mujoco:
+        """The model whose motors are not limited."""
+        return self._of(self._robot.without_input_limits())
+
     def _with(self, values: Mapping[str, float]) -> Mujoco:
+        return self._of(self._robot.with_values(values))
+
+    def _of(self, robot: Mechanism) -> Mujoco:
+        """The model of another mechanism of the file."""
         changed = copy(self)
-        changed._robot = self._robot.with_values(values)
+        changed._robot = robot
         changed._model = EngineModel(changed._robot.model)
         changed.kernel = kernel(changed._robot, changed._model, self._places)
         return changed
