@@ -28,7 +28,6 @@ class Delay(Identification):
     For each delay, Gaussian processes of the nominal model's residuals, with learned hyper-parameters, are
     functions of the states and of the inputs that act. Their marginal likelihood tells the delay: with a
     wrong one, the processes see inputs that did not cause the residuals, and take the difference for noise.
-    Draws of the model have the most probable delay, too.
 
     Parameters
     ----------
@@ -36,10 +35,12 @@ class Delay(Identification):
         In s; all delays up to it have the same prior probability.
     points
         Most samples of a likelihood, evenly spaced in the data; its time grows with their number cubed.
+    draws
+        Draws of the model have any delay, by its probability; else the most probable one, too.
     """
 
-    def __init__(self, task: Task, longest: Seconds = 0.06, points: Count = 200) -> None:
-        self._task = task
+    def __init__(self, task: Task, longest: Seconds = 0.06, points: Count = 200, draws: bool = False) -> None:
+        self._task, self._draws = task, draws
         self._taps = taps_of(longest, task.time_step)
         count = min(int(STEPS * longest / task.time_step + 1e-9), MOST)
         step = max(task.time_step / STEPS, longest / MOST)
@@ -56,12 +57,16 @@ class Delay(Identification):
             If the model has a delay, or another state, of its own.
         """
         candidates = [Late(self._task, nominal, delay, self._taps) for delay in self._delays.tolist()]
-        if not rollouts:
-            return candidates[0]
-        log_evidence = np.array([self._log_evidence(model, rollouts) for model in candidates])
-        best = candidates[int(np.argmax(log_evidence))]
+        log_evidence = np.zeros(len(candidates))
+        if rollouts:
+            log_evidence[:] = [self._log_evidence(model, rollouts) for model in candidates]
         probabilities = np.exp(log_evidence - log_evidence.max())
-        best.estimates = (_estimate(self._delays, probabilities / probabilities.sum()),)
+        probabilities /= probabilities.sum()
+        best = copy(candidates[int(np.argmax(log_evidence))])
+        if rollouts:
+            best.estimates = (_estimate(self._delays, probabilities),)
+        if self._draws:
+            best.drawn_from = candidates, probabilities
         return best
 
     def _log_evidence(self, model: Late, rollouts: Sequence[Rollout]) -> float:
@@ -89,13 +94,16 @@ def _estimate(delays: Array, probabilities: Array) -> Estimate:
 class Late(Nominal):
     """A model behind motors that are late; its bias is a function of the inputs that act.
 
-    A bias of the commands could not express a delay: what the robot does depends on earlier ones.
+    A bias of the commands could not express a delay: what the robot does depends on earlier ones. Draws have
+    the delays of other models by their probabilities, if it is `drawn_from` these.
 
     Raises
     ------
     ValueError
         If the model has a delay, or another state, of its own.
     """
+
+    drawn_from: tuple[Sequence[Late], Array] | None = None
 
     def __init__(self, task: Task, nominal: Nominal, delay: float, taps: int) -> None:
         self._task = task
@@ -130,8 +138,12 @@ class Late(Nominal):
         return self._driving(self._nominal.with_parameters(values))
 
     def draw(self, rng: np.random.Generator) -> Late:
-        """A draw of the model behind the motors."""
-        return self._driving(self._nominal.draw(rng))
+        """A draw of the model behind the motors, and of their delay if that is drawn."""
+        motors = self
+        if self.drawn_from:
+            models, probabilities = self.drawn_from
+            motors = models[rng.choice(len(models), p=probabilities)]
+        return motors._driving(self._nominal.draw(rng))
 
     @property
     def slack(self) -> Array:
