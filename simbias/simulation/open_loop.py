@@ -8,7 +8,7 @@ chunks of successive frames: they hold what single noisy frames say, in fewer nu
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
@@ -101,6 +101,13 @@ class Windows:
         return moving | ~moving.any()
 
     @property
+    def apart(self) -> Windows:
+        """The same windows, each an experiment of its own: nothing is before it."""
+        w, starts = len(self), self.starts
+        leads, frames = np.zeros(w, np.int64), np.full(w, self.window)
+        return replace(self, firsts=starts, leads=leads, frames=frames, recordings=None)
+
+    @property
     def rows(self) -> list[slice]:
         """The rows of each experiment, but the last, after which nothing is predicted."""
         bounds = zip(self.firsts, self.leads, self.frames, strict=True)
@@ -162,14 +169,15 @@ def _compiled(
 ) -> Array:
     """Means (k, w, J, n) of k models, by kernels: in lanes and threads."""
     n, m = windows.states.shape[1], windows.inputs.shape[1]
-    chunks = windows.frames // windows.chunk
     memory = (nominal.state_size, nominal.acting) if nominal else (0, ())
-    leads = windows.leads * bool(memory[0])  # which only fill the memory
+    if not memory[0]:
+        windows = windows.apart  # for all lanes and threads
+    chunks = windows.frames // windows.chunk
     means = np.empty((len(offsets), chunks.sum(), n))
     loop = partial(
         compile_open_loop(Function.of(step), Function.of(correct), n, m, *memory),
         *(windows.window, windows.chunk, step.parameters, correct.parameters, offsets),
-        *(windows.firsts, leads, windows.frames, np.cumsum(chunks) - chunks),
+        *(windows.firsts, windows.leads, windows.frames, np.cumsum(chunks) - chunks),
         *map(np.ascontiguousarray, (windows.begin, windows.inputs)),  # else another loop is compiled
         means,
     )

@@ -3,11 +3,13 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from interpreted import interpreted, predicted_as_plain
 from models import driven
 
 from simbias.core import Kernel, Nominal
 from simbias.core.records import Array, Rollout
+from simbias.simulation import open_loop
 from simbias.simulation.open_loop import PredictionModel, Windows, plain, predict
 from simbias.trial.study import Study
 
@@ -69,6 +71,15 @@ def test_written_agrees_with_plain(study: Study) -> None:
     """What is written of an experiment without frames would be beyond the predictions in chunks of one."""
     for windows in (Windows.of(experiments(study), 12, 3), Windows.of(experiments(study, (24, 0)), 12, 1)):
         predicted_as_plain(models(study), windows, 1e-9, 1e-12)
+
+
+def test_windows_of_one_recording_fill_all_lanes_and_threads(
+    study: Study, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    counts = list[int]()
+    monkeypatch.setattr(open_loop, "in_threads", lambda run, count: counts.append(count))
+    predict(models(study)[:2], Windows.of(experiments(study, (64,)), 8, 4))
+    assert counts == [2 * 8]
 
 
 def test_memory_runs_on_where_the_state_is_reset() -> None:
