@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from simbias.core import HardwareError, Task
-from simbias.core.records import Array, Rollout
+from simbias.core.records import Array, Indices, Rollout
 from simbias.learning.noise import noise_of
 
 SLOWEST = 0.05  # s over which positions and velocities are compared
@@ -16,6 +16,8 @@ TWICE = 2.0  # how much positions may differ from the integrals of velocities
 CORRELATED = 0.8  # below, velocities say too little for their size to be compared
 UNRELATED, CLEAR = 0.3, 4.0  # below, however late: others, if both change by so many times their noise
 LASTING = 0.5  # s of changes, which tell that
+JUMP = 3.0  # times what the largest velocity moves between two samples: no robot does
+RARELY, FAR = 0.98, 4.0  # the share of samples that a jump exceeds, and how many times it does
 
 
 def rates_of(task: Task) -> dict[int, int]:
@@ -50,6 +52,14 @@ def check_rates(source: str, pieces: Sequence[Rollout], task: Task, rates: Mappi
                 raise HardwareError(
                     f"{source}: {names[position]} does not change as {names[i]} says: is it another column?"
                 )
+
+
+def jumps(times: Array, values: Array, rates: Array) -> Indices:
+    """Samples (j,) before which values (k,) rarely change by so much more than their rates (k,) tell."""
+    steps, moved = np.diff(times), np.diff(values)
+    excess = np.abs(moved - steps * (rates[1:] + rates[:-1]) / 2)
+    usual = np.quantile(excess[moved != 0], RARELY) if moved.any() else np.inf  # an encoder's step, if slow
+    return np.flatnonzero(excess > np.maximum(JUMP * np.abs(rates).max() * steps, FAR * usual)) + 1
 
 
 def late_rates(pieces: Sequence[Rollout], task: Task, rates: Mapping[int, int]) -> list[str]:

@@ -97,11 +97,11 @@ class Recorded(Hardware):
         Raises
         ------
         HardwareError
-            If the file cannot be read, or has a gap.
+            If the file cannot be read, or has a gap, a reset or a jump.
         """
         pieces, horizon = self.reader.read(self._folder / file).pieces, self._task.horizon
         if len(pieces) > 1:
-            raise HardwareError(f"{self._folder / file}: its times have a gap or a reset")
+            raise HardwareError(f"{self._folder / file}: it has a gap, a reset of its time, or a jump")
         (whole,) = pieces
         if whole.frames < horizon:
             return replace(whole, failed_at=whole.frames, failure=ENDS)

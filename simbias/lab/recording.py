@@ -12,7 +12,7 @@ from simbias.core import HardwareError, Task
 from simbias.core.messages import quote, words
 from simbias.core.records import Array, Indices, Rollout
 from simbias.core.robot import TURNS, Quantity
-from simbias.lab.rates import check_rates, late_rates, rates_of
+from simbias.lab.rates import check_rates, jumps, late_rates, rates_of
 from simbias.lab.signals import Signal, Signals, signals, split_name
 from simbias.lab.units import factor
 
@@ -143,11 +143,14 @@ class Reader:
         return (column, "") if file.has(column) else split_name(column)
 
     def _pieces(self, path: Path, found: Mapping[int, Signal], notes: list[str]) -> list[tuple[float, float]]:
-        """When pieces begin and end: where every signal goes on without a gap or a reset of its time."""
+        """When pieces begin and end: where every signal goes on without a gap, a reset or a jump."""
         pieces, frame, longest = [(-np.inf, np.inf)], self._task.time_step, np.inf
-        runs_of = dict[int, list[tuple[float, float]]]()
+        runs_of, jumps_of = dict[int, list[tuple[float, float]]](), self._jumps(found, notes)
         for i, signal in found.items():
-            runs = runs_of[i] = self._runs(signal, held=i >= len(self._task.states))
+            begins = self._begins(signal)
+            if i in jumps_of:
+                begins = np.union1d(begins, jumps_of[i])
+            runs = runs_of[i] = _runs(signal, begins, held=i >= len(self._task.states))
             longest = min(longest, max(d - c for c, d in runs))
             pieces = [(max(a, c), min(b, d)) for a, b in pieces for c, d in runs if min(b, d) > max(a, c)]
         pieces = [(a, b) for a, b in pieces if b - a >= frame * (1 - 1e-9)]
@@ -158,7 +161,7 @@ class Reader:
             raise HardwareError(f"{path}: {problem}")
         if len(pieces) > 1:
             seconds = ", ".join(f"{b - a:.2f} s" for a, b in pieces)
-            notes.append(f"gaps or resets leave {len(pieces)} pieces: {seconds}")
+            notes.append(f"gaps, resets or jumps leave {len(pieces)} pieces: {seconds}")
         notes += self._left_out(found, runs_of, pieces[0][0], pieces[-1][1])
         return pieces
 
@@ -174,7 +177,7 @@ class Reader:
         after = max(signal.times[-1] for signal in found.values()) - end
         for side, which, at, seconds in ((0, "first", begin, before), (1, "last", end, after)):
             lacking = [i for i, runs in runs_of.items() if any(run[side] == at for run in runs)]
-            # Where all have it, it is a gap or a reset.
+            # Where all have it, it is none of theirs alone.
             if len(lacking) < len(found) and seconds > max(self._gap(found[i]) for i in lacking):
                 names = ", ".join(self._quantities[i].name for i in lacking)
                 yield f"the {which} {seconds:.3g} s lack {names}, and are left out"
@@ -188,13 +191,20 @@ class Reader:
                 f"is it another unit of time?{'' if has_unit else ' Name it, as `time [ms]`'}"
             )
 
-    def _runs(self, signal: Signal, held: bool) -> list[tuple[float, float]]:
-        """When a signal's uninterrupted runs begin and end; what is held lasts until a next sample is due."""
-        begins = self._begins(signal)
-        firsts, lasts = [0, *begins], [*(begins - 1), len(signal.times) - 1]
-        due = _period(signal) if held else 0.0
-        bounds = zip(signal.times[firsts].tolist(), signal.times[lasts].tolist(), strict=True)
-        return [(first, last + due) for first, last in bounds]
+    def _jumps(self, found: Mapping[int, Signal], notes: list[str]) -> dict[int, Indices]:
+        """Samples of states that their rates do not lead to, between gaps; all are told."""
+        each = dict[int, Indices]()
+        for rate, i in self._rates.items():
+            if rate in found:
+                times, values = found[i]
+                told = np.interp(times, *found[rate])
+                each[i] = np.setdiff1d(jumps(times, values, told), self._begins(found[i]))
+        at = sorted({float(found[i].times[j]) for i, samples in each.items() for j in samples})
+        if at:
+            names = ", ".join(self._quantities[i].name for i, samples in each.items() if len(samples))
+            when = ", ".join(f"{time:.6g} s" for time in at)
+            notes.append(f"{names}: a jump at {when}, beyond what velocities say: are rows lost or doubled?")
+        return each
 
     def _begins(self, signal: Signal) -> Indices:
         """The samples behind each gap."""
@@ -268,6 +278,14 @@ def _factor(file: Signals, name: str, unit: str, wanted: str) -> float:
 def _period(signal: Signal) -> float:
     """The usual time in s from a sample to the next one."""
     return float(np.median(np.diff(signal.times)))
+
+
+def _runs(signal: Signal, begins: Indices, held: bool) -> list[tuple[float, float]]:
+    """When a signal's uninterrupted runs begin and end; what is held lasts until a next sample is due."""
+    firsts, lasts = [0, *begins], [*(begins - 1), len(signal.times) - 1]
+    due = _period(signal) if held else 0.0
+    bounds = zip(signal.times[firsts].tolist(), signal.times[lasts].tolist(), strict=True)
+    return [(first, last + due) for first, last in bounds]
 
 
 def _held(signal: Signal, begin: float, time_step: float, frames: int) -> Array:

@@ -142,14 +142,29 @@ def test_gaps_and_resets_cut_it(
     gap = table.drop(index=range(300, 350))
     found = read(gap)
     assert [piece.frames for piece in found.pieces] == [299, 649]
-    assert found.notes == ("gaps or resets leave 2 pieces: 0.60 s, 1.30 s",)
+    assert found.notes == ("gaps, resets or jumps leave 2 pieces: 0.60 s, 1.30 s",)
     np.testing.assert_allclose(found.pieces[1].states[0], rollout.states[350], rtol=1e-9)
     table.loc[400:, "time"] -= table.loc[400, "time"]
     found = read(table)
     assert [piece.frames for piece in found.pieces] == [399, 599]
     np.testing.assert_allclose(found.pieces[1].states, rollout.states[400:-1], atol=1e-9)
-    with pytest.raises(HardwareError, match=r"one\.csv: its times have a gap or a reset"):
+    with pytest.raises(HardwareError, match=r"one\.csv: it has a gap, a reset"):
         Recorded(study.task, str(tmp_path)).rollout("one.csv")
+
+
+def test_rows_that_are_lost_or_doubled_under_a_clock_that_goes_on_cut_it(
+    read: Read, table: pd.DataFrame
+) -> None:
+    """An encoder that turns slowly, and steps now and then, does not."""
+    for kept in (np.r_[:300, 350 : len(table)], np.r_[:300, 200 : len(table)]):
+        rows = table.iloc[kept].assign(time=0.002 * np.arange(len(kept)))
+        found = read(rows)
+        assert [piece.frames for piece in found.pieces] == [299, len(rows) - 301]
+        assert found.notes[0].endswith(
+            "a jump at 0.6 s, beyond what velocities say: are rows lost or doubled?"
+        )
+    table["pos1"], table["vel1"] = 0.01 * np.floor(5 * table["time"]), 0.05
+    assert len(read(table).pieces) == 1
 
 
 def test_what_is_left_out_at_either_end_is_told(read: Read, table: pd.DataFrame) -> None:
@@ -255,7 +270,7 @@ def test_a_late_velocity_is_told(read: Read, table: pd.DataFrame) -> None:
         table[name] += 0.1 * table[name].std() * rng.standard_normal(len(table))
     assert read(table).notes == ()
     short = read(table.drop(index=[*range(200, 300), *range(316, 400)]))
-    assert short.notes == ("gaps or resets leave 3 pieces: 0.40 s, 0.03 s, 1.20 s",)
+    assert short.notes == ("gaps, resets or jumps leave 3 pieces: 0.40 s, 0.03 s, 1.20 s",)
     late = read(table.assign(vel2=table["vel2"].shift(5)))
     assert late.notes == ("vel2 follows pos2 by 10 ms; without its column, it is estimated",)
 
