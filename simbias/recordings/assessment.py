@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
 from simbias.core import Nominal, Task
@@ -19,7 +18,8 @@ from simbias.learning.identification.identified import Identified
 from simbias.learning.identification.posterior import Posterior
 from simbias.learning.identification.refinement import moved_by_shorter_steps
 from simbias.recordings.findings import Finding, findings
-from simbias.recordings.horizons import Prediction, if_reversed, overall, predictions
+from simbias.recordings.horizons import Prediction, overall, predictions
+from simbias.recordings.mistakes import Mistake, mistakes
 from simbias.recordings.parts import Part, others, parts
 from simbias.recordings.reach import Reach, beyond
 from simbias.trial.study import Study
@@ -27,7 +27,6 @@ from simbias.trial.study import Study
 OTHER_WINDOWS = (0.5, 2.0)  # durations of predictions, over the chosen one
 LONGEST = max(OTHER_WINDOWS)  # that each part has to hold
 UNEXPLAINED = 2.0  # times what noise and uncertainty explain, from which the model lacks something
-REVERSED = 0.9  # times the nominal model's errors, below which an input's sign seems to be reversed
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,9 +41,7 @@ class Assessment:
     models: Sequence[Identified]  # (parts, then held out) that were not fitted to the part
     findings: Sequence[Finding]
     predictions: Sequence[Prediction]
-    reversed: Mapping[
-        str, float
-    ]  # errors of the nominal model with an input's sign reversed, if all err less
+    mistakes: Sequence[Mistake]  # of signs and columns
 
     @property
     def task(self) -> Task:
@@ -207,28 +204,9 @@ def assess(
         models,
         findings(identified, alone, by_window, shorter),
         predictions(study.task, study.nominal, models, [part.rollouts for part in judged], learned),
-        reversed_inputs(study.task, [study.nominal, identified], everything.rollouts),
+        mistakes(study.task, [study.nominal, identified], recordings),
     )
     return assessment.doubted(doubt)
-
-
-def reversed_inputs(task: Task, models: Sequence[Nominal], rollouts: Sequence[Rollout]) -> dict[str, float]:
-    """Inputs whose recorded signs seem to be the model's reversed, with the errors of the first model so.
-
-    Errors are over those before. All models have to say so: where the nominal one lacks a spring, it errs
-    less with the wrong sign below resonance, and the identified one does not. The input that matters most is
-    the first, and stays reversed: a sign is wrong beside those of the others.
-    """
-    inputs, found = [each.name for each in task.inputs], dict[str, float]()
-    by_model = [if_reversed(task, model, rollouts) for model in models]
-    last = np.ones(len(models))
-    while left := [each for each in inputs if each not in found]:
-        tried = {each: np.array([errs([*found, each]) for errs in by_model]) for each in left}
-        best = min(tried, key=lambda name: tried[name].max())
-        if tried[best].max() >= REVERSED * last.max():
-            break
-        found[best], last = float(tried[best][0] / last[0]), tried[best]
-    return found
 
 
 def _check_length(posterior: Posterior, all_parts: Sequence[Part]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -140,23 +140,18 @@ def horizons(task: Task, longest: int) -> list[int]:
     return [k for k in sorted({task.frames(seconds) for seconds in HORIZONS}) if k <= longest]
 
 
-def if_reversed(
+def over_recorded(
     task: Task, nominal: Nominal, rollouts: Sequence[Rollout]
-) -> Callable[[Sequence[str]], float]:
-    """Errors of a model with the signs of named inputs reversed, over those with inputs as recorded.
-
-    The geometric mean over states and horizons.
-    """
+) -> Callable[[Sequence[Rollout]], float]:
+    """Errors of a model on rollouts as changed, over those as recorded: the mean over states and horizons."""
     ahead = horizons(task, max(rollout.frames for rollout in rollouts))
     recorded = [errors(nominal, rollouts, k) for k in ahead]
 
-    def over_recorded(names: Sequence[str]) -> float:
-        signs = np.array([-1.0 if each.name in names else 1.0 for each in task.inputs])
-        other = [replace(rollout, inputs=signs * rollout.inputs) for rollout in rollouts]
+    def over(changed: Sequence[Rollout]) -> float:
         pairs = zip(ahead, recorded, strict=True)
-        return geometric_mean(np.array([ratio(errors(nominal, other, k), each) for k, each in pairs]))
+        return geometric_mean(np.array([ratio(errors(nominal, changed, k), each) for k, each in pairs]))
 
-    return over_recorded
+    return over
 
 
 def _known(learned: Sequence[tuple[Nominal, Sequence[Rollout]]], frames: int) -> Known:

@@ -46,11 +46,11 @@ def verdict(assessment: Assessment) -> str:
         ahead = f" It errs more {', '.join(worse)}." if worse else ""
         return (
             f"On {what}, the identified model errs {assessment.ratio:.2f} times as much as "
-            f"the nominal one{each}, {MEAN}.{ahead}{none}{_lacking(assessment)}{_reversed(assessment)}"
+            f"the nominal one{each}, {MEAN}.{ahead}{none}{_lacking(assessment)}{_mistakes(assessment)}"
         )
     return (
         f"The identified model is no better than the nominal one on {what}: it errs "
-        f"{assessment.ratio:.2f} times as much{each}, {MEAN}. Do not use it.{_reversed(assessment)}"
+        f"{assessment.ratio:.2f} times as much{each}, {MEAN}. Do not use it.{_mistakes(assessment)}"
     )
 
 
@@ -65,12 +65,13 @@ def _lacking(assessment: Assessment) -> str:
     )
 
 
-def _reversed(assessment: Assessment) -> str:
-    """A sentence for each input whose recorded sign seems to be the model's reversed; else ""."""
+def _mistakes(assessment: Assessment) -> str:
+    """A sentence for each sign or column that seems to be mistaken; else ""."""
     said = ""
-    for name, times in assessment.reversed.items():
+    for words, times, recordings in assessment.mistakes:
+        where = f" (in {', '.join(recordings)} alone)" if recordings else ""
         also = ", too," if said else ","
-        said += f" With the sign of {name} reversed{also} the nominal model errs {times:.2f} times as much"
+        said += f" With {words}{where}{also} the nominal model errs {times:.2f} times as much"
         said += ": check the recorded sign and column."
     return said
 
@@ -172,5 +173,5 @@ def advice(assessment: Assessment, excitation: Excitation | str) -> Iterator[str
         yield f"No further {seconds:g} s within the limits should narrow a parameter by {100 * WORTH:.0f}%."
     left = [names[i] for i in np.flatnonzero(~own & ~worth & (excitation.deviations > 0.5))]
     if left:
-        wrong = assessment.reversed or assessment.unexplained is not None
+        wrong = assessment.mistakes or assessment.unexplained is not None
         yield f"No input should tell {', '.join(left)}: {MEND if wrong else REMEDY}."

@@ -21,9 +21,8 @@ from simbias.core.records import Array, Rollout
 from simbias.learning.identification.identified import Identified, Known
 from simbias.learning.identification.posterior import Posterior
 from simbias.learning.identification.rig import Rig, Sensor
-from simbias.recordings import assessment as assessing
 from simbias.recordings import horizons, plots
-from simbias.recordings.assessment import Assessment, assess, prepared, reversed_inputs
+from simbias.recordings.assessment import Assessment, assess, prepared
 from simbias.recordings.excitation import Excitation
 from simbias.recordings.files import (
     check_replaces_nothing,
@@ -37,6 +36,7 @@ from simbias.recordings.files import (
 )
 from simbias.recordings.findings import STEP_DOUBT, findings
 from simbias.recordings.horizons import CHANGE, Prediction, inside, predictions, regions, sizes
+from simbias.recordings.mistakes import Mistake, changes, mistakes
 from simbias.recordings.parts import parts
 from simbias.recordings.reach import beyond
 from simbias.recordings.reading import read
@@ -137,29 +137,38 @@ def test_errors_that_noise_and_uncertainty_do_not_explain_are_told(assessment: A
     )
 
 
-def test_an_input_whose_sign_is_the_other_way_is_named(
+def test_signs_and_columns_that_are_mistaken_are_named(
     assessment: Assessment, study: Study, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Here the elbow's; with the signs of the model nothing is said, nor if the identified one disagrees."""
-    assert not assessment.reversed
-    elbow = np.array([1.0, -1.0])
-    rollouts = [
-        replace(each, inputs=elbow * each.inputs) for part in assessment.parts for each in part.rollouts
+    """With those of the model nothing is said, nor if the identified one disagrees."""
+    assert not assessment.mistakes
+    task, both = study.task, [study.nominal, assessment.identified]
+    first, *others = (part.rollouts for part in assessment.parts)
+    names = [each.name for each in (*task.states, *task.inputs)]
+    for change in changes(task):
+        wrong = {str(i): change.of(each) for i, each in enumerate((first, *others))}
+        ((words, times, recordings),) = mistakes(task, both[:1], wrong)
+        assert words == change.words
+        assert not recordings
+    assert [each.words for each in changes(task)] == [
+        *(f"the sign of {name} reversed" for name in names[4:]),
+        *(f"the sign of {' and '.join(names[i:4:2])} reversed" for i in (0, 1)),
+        f"{names[4]} and {names[5]} swapped",
+        f"{names[0]} and {names[1]}, {names[2]} and {names[3]} swapped",
     ]
-    ((name, times),) = reversed_inputs(study.task, [study.nominal], rollouts).items()
-    assert name == study.task.inputs[1].name
-    told = verdict(replace(assessment, reversed={name: times}))
-    assert told.endswith(
-        f" With the sign of {name} reversed, the nominal model errs {times:.2f} times as much: "
+    assert verdict(replace(assessment, mistakes=[Mistake(words, times, ["b.csv"])])).endswith(
+        f" With {words} (in b.csv alone), the nominal model errs {times:.2f} times as much: "
         "check the recorded sign and column."
     )
-    identified, errors = assessment.identified, {study.nominal: 0.6, assessment.identified: 60.0}
-    monkeypatch.setattr(assessing, "if_reversed", lambda task, model, rollouts: lambda names: errors[model])
-    both = [study.nominal, identified]
-    assert not reversed_inputs(study.task, both, rollouts)
-    assert len(reversed_inputs(study.task, [study.nominal], rollouts)) == 1
-    errors[identified] = 0.8
-    assert [*reversed_inputs(study.task, both, rollouts).values()] == [0.6]  # the nominal model's
+    monkeypatch.setattr(
+        "simbias.recordings.mistakes.over_recorded",
+        lambda task, model, rollouts: lambda changed: ratios[model],
+    )
+    ratios, rollouts = dict(zip(both, (0.6, 60.0), strict=True)), {"a": first}
+    assert not mistakes(task, both, rollouts)
+    assert len(mistakes(task, both[:1], rollouts)) == 1
+    ratios[both[1]] = 0.8
+    assert [each.times for each in mistakes(task, both, rollouts)] == [0.6]  # the nominal model's
 
 
 def test_velocities_that_are_estimated_in_long_frames_are_doubted(

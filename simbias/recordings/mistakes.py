@@ -1,0 +1,91 @@
+"""Signs and columns of recordings that seem to be mistaken: with others, the models err less."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+
+from simbias.core import Nominal, Task
+from simbias.core.records import Array, Indices, Rollout
+from simbias.lab.rates import rates_of
+from simbias.recordings.horizons import over_recorded
+
+MISTAKEN = 0.9  # times the errors, below which a change seems to be right
+
+
+class Mistake(NamedTuple):
+    """A change of recordings with which the models err less."""
+
+    words: str
+    times: float  # errors of the nominal model, over those before
+    recordings: Sequence[str]  # in which it errs less so; none: all
+
+
+class Change(NamedTuple):
+    """Other signs, or another order, of states (n) and inputs (m)."""
+
+    words: str
+    order: Indices  # (n + m,)
+    signs: Array  # (n + m,)
+
+    def of(self, rollouts: Sequence[Rollout]) -> list[Rollout]:
+        """The rollouts as they would have been recorded."""
+        n = rollouts[0].states.shape[1]
+        return [
+            replace(
+                each,
+                states=self.signs[:n] * each.states[:, self.order[:n]],
+                inputs=self.signs[n:] * each.inputs[:, self.order[n:] - n],
+            )
+            for each in rollouts
+        ]
+
+
+def mistakes(
+    task: Task, models: Sequence[Nominal], recordings: Mapping[str, Sequence[Rollout]]
+) -> list[Mistake]:
+    """Mistakes that all models agree on, the one that matters most first; the nominal model is the first.
+
+    Where that lacks a spring, it errs less with the wrong sign of an input below resonance, and the
+    identified one does not. A change that is found stays: a sign is wrong beside those of the others.
+    """
+    rollouts, left, found = [each for pieces in recordings.values() for each in pieces], changes(task), []
+    errors = [over_recorded(task, model, rollouts) for model in models]
+    of_each = {name: over_recorded(task, models[0], pieces) for name, pieces in recordings.items()}
+    last = np.ones(len(models))
+    while left:
+        tried = [np.array([errs(each.of(rollouts)) for errs in errors]) for each in left]
+        best = int(np.argmin([round(each.max(), 3) for each in tried]))  # of a mirrored robot, the input's
+        if tried[best].max() >= MISTAKEN * last.max():
+            break
+        change = left.pop(best)
+        wrong = [name for name, errs in of_each.items() if errs(change.of(recordings[name])) < MISTAKEN]
+        some = wrong if len(wrong) < len(recordings) else []
+        found.append(Mistake(change.words, float(tried[best][0] / last[0]), some))
+        rollouts, last = change.of(rollouts), tried[best]
+    return found
+
+
+def changes(task: Task) -> list[Change]:
+    """The sign of each input, then of each joint with its velocity; two inputs or joints that are swapped."""
+    names = [each.name for each in (*task.states, *task.inputs)]
+    inputs = [[place] for place in range(len(task.states), len(names))]
+    joints = [[place, rate] for rate, place in rates_of(task).items()]
+    as_recorded, same = np.arange(len(names)), np.ones(len(names))
+    made = []
+    for places in (*inputs, *joints):
+        signs = same.copy()
+        signs[places] = -1.0
+        words = f"the sign of {' and '.join(names[place] for place in places)} reversed"
+        made.append(Change(words, as_recorded, signs))
+    for some, others in (*combinations(inputs, 2), *combinations(joints, 2)):
+        order = as_recorded.copy()
+        order[[*some, *others]] = [*others, *some]
+        pairs = zip(some, others, strict=True)
+        words = ", ".join(f"{names[one]} and {names[other]}" for one, other in pairs)
+        made.append(Change(f"{words} swapped", order, same))
+    return made
