@@ -42,6 +42,7 @@ class Assessment:
     findings: Sequence[Finding]
     predictions: Sequence[Prediction]
     mistakes: Sequence[Mistake]  # of signs and columns
+    by_window: Mapping[float, float]  # deviations with windows of so many s, over those of `identified`
 
     @property
     def task(self) -> Task:
@@ -205,6 +206,10 @@ def assess(
         findings(identified, alone, by_window, shorter),
         predictions(study.task, study.nominal, models, [part.rollouts for part in judged], learned),
         mistakes(study.task, [study.nominal, identified], recordings),
+        {
+            factor * posterior.window: other.mean_deviation / identified.mean_deviation
+            for factor, other in zip(OTHER_WINDOWS, by_window, strict=True)
+        },
     )
     return assessment.doubted(doubt)
 

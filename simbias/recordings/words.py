@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from operator import itemgetter
 
 import numpy as np
 
@@ -23,6 +24,7 @@ PARAMETER_NAMES = (
 )
 ERROR_NAMES = ("horizon (s)", "predictions", "over nominal", "90% region holds")
 MEAN = "in the geometric mean over states and horizons"
+NARROWER = 0.8  # times the deviations, below which windows of another length are worth a trial
 WORTH = 0.1  # share by which an experiment has to narrow a parameter to be named
 REMEDY = "measure what you can otherwise (masses by weighing or another load), and declare it"
 SHORTER = "take a smaller nominal.sub_step or, in an MJCF, timestep"
@@ -152,10 +154,14 @@ def reach_lines(assessment: Assessment) -> Iterator[str]:
 
 
 def advice(assessment: Assessment, excitation: Excitation | str) -> Iterator[str]:
-    """Sentences about steps of integration, the trajectory to record next, and what it should narrow."""
+    """Sentences about steps of integration, windows, and what the next trajectory should narrow."""
     stepped = [finding.estimate.name for finding in assessment.findings if STEP_DOUBT in finding.doubts]
     if stepped:
         yield f"Shorter steps of integration would move {', '.join(stepped)}: {SHORTER}."
+    window, share = min(assessment.by_window.items(), key=itemgetter(1))
+    if share < NARROWER and not assessment.mistakes:
+        narrower = f"With windows of {window:g} s, deviations are {share:.0%} of these on average"
+        yield f"{narrower}: try identification.window={window:g}."
     before = np.sqrt(np.diag(assessment.identified.covariance))
     names = [finding.estimate.name for finding in assessment.findings]
     if isinstance(excitation, str):

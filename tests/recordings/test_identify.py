@@ -222,6 +222,11 @@ def test_what_is_advised_may_help(assessment: Assessment) -> None:
     stepped = replace(first, doubts=(STEP_DOUBT,))
     said = next(advice(replace(assessment, findings=[stepped, *others]), "none"))
     assert said.startswith(f"Shorter steps of integration would move {first.prior.name}: take a smaller ")
+    said = [
+        next(advice(replace(assessment, by_window={0.05: 1.6, 0.2: share}), "none")) for share in (0.7, 0.9)
+    ]
+    assert said[0].endswith("s are 70% of these on average: try identification.window=0.2.")
+    assert said[1] == "No trajectory is proposed (none)."
     with_own = replace(assessment, findings=[own, *others])
     told = [about_errors(each) for each in (assessment, with_own, replace(with_own, recordings=["one"]))]
     assert [f"Of {first.prior.name} each recording has its own" in each for each in told] == [0, 1, 0]

@@ -60,6 +60,11 @@ class Identified(Nominal):
             for p, z, d in zip(prior.parameters, mode, deviations, strict=True)
         )
 
+    @property
+    def mean_deviation(self) -> float:
+        """Standard deviation of the coordinates, in the geometric mean over directions."""
+        return float(np.exp(np.linalg.slogdet(self.covariance)[1] / (2 * len(self.mode))))
+
     def step(self, x: Array, u: Array) -> Array:
         """x_next (..., n) of the most probable model."""
         return self.model.step(x, u)
