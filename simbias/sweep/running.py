@@ -27,6 +27,7 @@ from simbias.trial.folder import TrialFolder
 from simbias.trial.origin import changed_code
 from simbias.trial.policy_test import NO_TEST
 from simbias.trial.study import Study
+from simbias.trial.summary import Outcome
 
 
 def run(
@@ -97,8 +98,9 @@ def run_sweep(
 ) -> tuple[DataFrame, str]:
     """Run the trials that have not ended, and make the figures; `again` is the command that resumes.
 
-    Figures are made once no trial waits for the result of an experiment, unless all raised an error. Of a
-    part of the trials that the sweep's folder has, none are, and that folder stays as it is.
+    Figures are made once no trial waits for the result of an experiment or for another process, unless all
+    raised an error. Of a part of the trials that the sweep's folder has, none are, and that folder stays as
+    it is.
 
     Returns the trials, as `simbias.sweep.results` describes them, and how a person looks at them.
 
@@ -137,8 +139,21 @@ def run_sweep(
 
 
 def _results(trials_engine: Engine, state: SweepState) -> Iterator[tuple[Trial, Result]]:
-    """Trials with their results, as they end."""
-    trials = state.missing
+    """Trials with their results, as they end; those that another process runs are tried again at the end."""
+    taken: list[Trial] = []
+    for trial, result in _tried(state.missing, trials_engine, state):
+        if result.summary.outcome is Outcome.RUNNING:
+            taken.append(trial)
+        else:
+            yield trial, result
+    if taken:
+        yield from _tried(taken, trials_engine, state)
+
+
+def _tried(
+    trials: Sequence[Trial], trials_engine: Engine, state: SweepState
+) -> Iterator[tuple[Trial, Result]]:
+    """Trials with the results of running them, as they end."""
     plans = [state.plan(trial, trials_engine.shares_disk) for trial in trials]
     cells = {trial.cell.composition.group_hash: trial.cell.composition for trial in trials}
     code = partial(packed, list(cells.values()))

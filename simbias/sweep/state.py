@@ -34,7 +34,7 @@ PART = "simbias: asked for %d of the %d trials of %s: its tables, figures and pa
 LOSES = "simbias: %s loses %d of its %d trials, which are not asked for any more; their own folders stay"
 # First words on a sweep.
 RUNNING, DONE, INTERRUPTED = "**Running**", "**Done**", "**Interrupted**"
-WAITS = "**Waiting** for hardware experiments"
+WAITS = "**Waiting** for hardware experiments or another process"
 MARKER = ".shared_"  # prefix of a file that only workers on the same disk see
 STATE_SECONDS = 5.0  # the sweep's state is at most so old while trials end,
 STATE_SHARE = 0.02  # unless it would take more than this of the time
@@ -109,7 +109,7 @@ class SweepState:
 
     @property
     def waits(self) -> bool:
-        """Whether, now that none runs any more, a trial waits for the result of an experiment."""
+        """Whether, now that none runs here any more, a trial waits for an experiment or runs elsewhere."""
         return len(self._rows) < len(self._sweep.trials)
 
     @property

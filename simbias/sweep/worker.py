@@ -19,7 +19,7 @@ from simbias.core.messages import with_type
 from simbias.core.platform import package_digest
 from simbias.engine.workplace import temporary_folder
 from simbias.trial.disk import write_whole
-from simbias.trial.folder import OUTCOME, TRIAL, TrialFolder
+from simbias.trial.folder import OUTCOME, TRIAL, TakenError, TrialFolder
 from simbias.trial.run import run_trial
 from simbias.trial.summary import Outcome, TrialSummary
 
@@ -73,6 +73,8 @@ def run_plan(plan: Plan) -> Result:
             packed = pack(folder) if folder is not None and apart else b""
         except KeyboardInterrupt:
             raise
+        except TakenError as error:
+            return Result(TrialSummary(Outcome.RUNNING, reason=str(error)))
         except BaseException as error:
             return lost(with_type(error) + _where(apart))
     return Result(record.summary, "" if folder else record.traceback, packed)

@@ -46,7 +46,8 @@ examples:
 
 exit status: 0 the policy succeeded on hardware, 1 it did not, 2 bad input, 3 a hardware experiment is awaited
              (the same command resumes), 130 interrupted (likewise)
-of a sweep:  0 all trials ran, whether they succeeded or not, 1 one raised an error, 2, 3 and 130 as above
+of a sweep:  0 all trials ran, whether they succeeded or not, 1 one raised an error, 2 and 130 as above,
+             3 also if another process runs one of its trials
 of export:   0 all trials are shown, 1 one could not be read
 """
 

@@ -66,7 +66,7 @@ def run(variations: Variations, composition: Composition, again: str) -> int:
         console.stopped(f"{type(error).__name__}: {cause(error)}", again)
         return FAILED
     console.conclude(trials, where)
-    if console.waiting:
+    if console.waiting or console.taken:
         return WAITING
     return FAILED if (trials["outcome"] == "error").any() else SUCCEEDED
 
@@ -200,6 +200,9 @@ class SweepConsole(SweepObserver):
         if self.waiting:
             trials_waiting = counted(self.waiting, "trial")
             say(self._console, f"Hardware is awaited in {trials_waiting}; the same command resumes.")
+        if self.taken:
+            trials_taken = counted(self.taken, "trial")
+            say(self._console, f"Another process runs {trials_taken}; the same command resumes.")
         for name, caption, files in self._figures:
             if files:
                 shown = " ".join(map(str, files))
@@ -211,6 +214,11 @@ class SweepConsole(SweepObserver):
     def waiting(self) -> int:
         """The number of trials that wait for the result of an experiment."""
         return self._outcomes.count(Outcome.WAITING)
+
+    @property
+    def taken(self) -> int:
+        """The number of trials that another process runs."""
+        return self._outcomes.count(Outcome.RUNNING)
 
     def stopped(self, why: str, again: str) -> None:
         """Tell that the sweep ended early, what is done, and how to go on."""

@@ -46,6 +46,10 @@ REMEDY = "Run again, its trial makes it from the steps"  # what mends an outcome
 LOCK_SECONDS = 5.0  # that a worker in place of a killed one waits until the system has let go of its lock
 
 
+class TakenError(ConfigError):
+    """Another process is running the trial."""
+
+
 @dataclass(frozen=True)
 class Withdrawal:
     """An experiment that a person withdrew."""
@@ -160,8 +164,8 @@ class TrialFolder:
         return sorted(file for file in found if file.suffix != PART)
 
     def held(self) -> AbstractContextManager[None]:
-        """Hold the folder for this process; a ConfigError if another holds it, or it cannot be written."""
-        taken = ConfigError(str(self.path), "another process is running this trial")
+        """Hold the folder for this process; TakenError if another does, ConfigError if it is read-only."""
+        taken = TakenError(str(self.path), "another process is running this trial")
         return locked(self.path / LOCK, LOCK_SECONDS, taken)
 
 

@@ -2,6 +2,7 @@
 
 import shutil
 import signal
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -22,6 +23,10 @@ from sweeping import (
 )
 
 from simbias.__main__ import main
+from simbias.sweep.grid import Trial
+from simbias.sweep.worker import Result
+from simbias.terminal.sweep import SweepConsole
+from simbias.trial.folder import TrialFolder
 
 pytestmark = pytest.mark.slow
 
@@ -117,6 +122,31 @@ def test_a_later_start_removes_what_a_kill_left(
     assert list(temporary.iterdir()) == []
     assert orphans
     assert not any(map(alive, orphans))
+
+
+def test_trials_that_another_process_runs_are_tried_again_at_the_end(
+    folder: Path, uninterrupted: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two sweeps may share trials; one that still runs elsewhere has not ended, which is no error."""
+
+    def other_ends(console: SweepConsole, trial: Trial, result: Result) -> None:
+        if len(finished(folder)) == 7:
+            stack.close()
+        told(console, trial, result)
+
+    monkeypatch.setattr("simbias.trial.folder.LOCK_SECONDS", 0.1)
+    told, first = SweepConsole.ended, next(uninterrupted.glob("trials/*/outcome.json")).parent.name
+    with ExitStack() as stack:
+        stack.enter_context(TrialFolder(folder / "trials" / first).held())
+        assert main([*COMMAND, ONE_PROCESS]) == 3
+        assert state(folder)["verdict"].startswith("**Waiting**")
+        assert "Another process runs 1 trial; the same command resumes." in capsys.readouterr().out
+        shutil.rmtree(folder / "trials", ignore_errors=True)
+        stack.close()
+        stack.enter_context(TrialFolder(folder / "trials" / first).held())
+        monkeypatch.setattr(SweepConsole, "ended", other_ends)
+        assert main([*COMMAND, ONE_PROCESS]) == 0
+    check(folder, uninterrupted)
 
 
 def test_a_trial_that_was_killed_before_its_picture_was_drawn(folder: Path) -> None:
