@@ -18,7 +18,7 @@ from simbias.mlflow.notes import with_table
 from simbias.mlflow.pages import NOTE, RUN_NAME
 from simbias.mlflow.runs import Point, RunExport, Runs, readable
 from simbias.mlflow.trial import Nested, TrialExport, as_yaml, began_at, origin_tags
-from simbias.sweep.folder import FIGURES, SweepFolder
+from simbias.sweep.folder import CHANGED, FIGURES, SweepFolder
 from simbias.sweep.state import DONE, INTERRUPTED, RUNNING, WAITS
 from simbias.trial.disk import LOCK, is_locked, require_file
 from simbias.trial.folder import TrialFolder
@@ -58,7 +58,7 @@ class SweepRun(RunExport):
         files: dict[str, Path | bytes] = {file.relative_to(self.path).as_posix(): file for file in own}
         files["sweep.yaml"] = as_yaml(self._description["config"])
         points = [*self._points(run, state)] if final and state else []
-        tags = {NOTE: self._note(state)}
+        tags = {NOTE: self._note(state, final and self._folder.changed())}
         if final:  # sizes do not tell that numbers have changed
             contents = (each if isinstance(each, bytes) else each.read_bytes() for each in files.values())
             tags[FILES] = short_digest(b"".join(contents))
@@ -124,7 +124,7 @@ class SweepRun(RunExport):
         else:
             client.log_table(self.run_id, table, TABLE)
 
-    def _note(self, state: dict[str, Any]) -> str:
+    def _note(self, state: dict[str, Any], changed: bool) -> str:
         """The parent's description: how far it is, figures, how to resume, the table as far as it fits."""
         about = self._description
         link = pages.list_page(self.runs.experiment_id, about["hash"])
@@ -135,6 +135,7 @@ class SweepRun(RunExport):
         mixed = state.get("platforms")
         parts = [
             f"{state.get('verdict')}: {state.get('done', 0)} of {len(about['trials'])} [trials]({link}).",
+            *([CHANGED] if changed else []),
             *([f"Trials are from several platforms: {markdown.text(mixed)}."] if mixed else []),
             state.get("legend", ""),
             *captions,

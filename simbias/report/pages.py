@@ -21,7 +21,7 @@ from simbias.core.proportions import counted_share, wilson
 from simbias.pictures.elements import html
 from simbias.pictures.elements.drawing import NoPictureError
 from simbias.pictures.trial.gallery import FIGURES
-from simbias.sweep.folder import SWEEP, SweepFolder, sweep_folders
+from simbias.sweep.folder import CHANGED, SWEEP, SweepFolder, sweep_folders
 from simbias.sweep.results import SHOWN
 from simbias.sweep.tables import left_out
 from simbias.trial.disk import write_whole
@@ -101,15 +101,15 @@ def _sweep_parts(folder: SweepFolder, description: dict) -> Iterator[str]:
     """From how far it is to the config."""
     summaries = [TrialFolder(folder.trials / name).summary() for name in description["trials"]]
     shown = [summary for summary in summaries if summary is not None and summary.outcome in SHOWN]
-    now, state = Counter(str(summary.outcome) for summary in shown), folder.state()
-    counts = Counter(state.get("outcomes", now))  # as its figures and its table count
+    state = folder.state()
+    counts = Counter(state.get("outcomes", map(str, (summary.outcome for summary in shown))))  # as its table
     ended = counts.total() - counts["error"]
     yield html.paragraph(
         f"{ended} of {len(summaries)} trials have ended; of these succeeded "
         f"{counted_share(counts['succeeded'], ended)}.{left_out(counts.elements())}"
     )
-    if counts != now:
-        yield html.paragraph("Trials have changed since; the sweep's command, run again, counts them anew.")
+    if folder.changed():
+        yield html.paragraph(CHANGED)
     yield from _claims(shown)
     for file in folder.figures():
         if file.suffix == ".png":

@@ -18,9 +18,12 @@ from typing import Any
 
 from simbias.core.errors import ConfigError
 from simbias.sweep.batches import Outcomes
+from simbias.sweep.results import digest, numbers
 from simbias.trial.disk import read_json, require_file, write_json, write_whole
+from simbias.trial.folder import TrialFolder
 
 SWEEP, STATE = "sweep.json", "state.json"
+CHANGED = "Trials have changed since; the sweep's command, run again, counts them anew."
 FIGURES, EXPERIMENTS = "figures", "experiments"
 
 
@@ -54,6 +57,13 @@ class SweepFolder:
         for name, text in files.items():
             write_whole(self.path / name, text.encode())
         write_json(self.path / STATE, state)
+
+    def changed(self) -> bool:
+        """Whether trials have changed since state.json: another sweep ended them, or one was withdrawn."""
+        trials = [TrialFolder(self.trials / name) for name in self.description()["trials"]]
+        ended = ((each.path.name, each.summary()) for each in trials if each.ended)
+        now = digest({name: numbers(summary) for name, summary in ended if summary})
+        return self.state().get("digest", now) != now
 
     @property
     def trials(self) -> Path:

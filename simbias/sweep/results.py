@@ -20,6 +20,7 @@ from typing import Any
 import pandas as pd
 
 from simbias.config.resources import resource_folder
+from simbias.core.digest import short_digest
 from simbias.core.errors import ConfigError
 from simbias.sweep.grid import Sweep, Trial
 from simbias.trial.folder import TrialFolder
@@ -71,12 +72,26 @@ def row(trial: Trial, sweep: Sweep, summary: TrialSummary) -> dict[str, Any]:
         "hash": trial.hash,
         "repetition": trial.repetition,
         "seed": trial.seed,
+        **numbers(summary),
+        "raised": summary.stopped_by,
+    }
+
+
+def numbers(summary: TrialSummary) -> dict[str, Any]:
+    """The columns of a trial's row that are of how it ended."""
+    return {
         "outcome": str(summary.outcome),
         "experiments": summary.experiments_until_success,
         "iterations": summary.iterations_until_success,
         **{name: getattr(summary, name) for name in ("seconds", *LATER)},
-        "raised": summary.stopped_by,
     }
+
+
+def digest(rows: Mapping[str, Mapping[Any, Any]]) -> str:
+    """A digest of the trials that ended, by hash and in any order: any number that changes, changes it."""
+    ended = [{**rows[name], "hash": name} for name in sorted(rows) if Outcome(rows[name]["outcome"]).final]
+    columns = ["hash", "outcome", *COUNTS, "seconds", *LATER]
+    return short_digest(csv(pd.DataFrame(ended, columns=columns)).encode())
 
 
 def csv(trials: pd.DataFrame) -> str:

@@ -207,6 +207,7 @@ class SweepState:
             "done": len(trials),
             "trials": len(sweep.trials),
             "outcomes": dict(Counter(trials["outcome"])),
+            "digest": results.digest(self._rows),
             "mean_experiments": None if trials["experiments"].isna().all() else trials["experiments"].mean(),
             "platforms": self._mixed() if len(self._platforms) > 1 else "",
             "table": arrangement,

@@ -19,7 +19,7 @@ from simbias.core.errors import ConfigError
 from simbias.mlflow.notes import note
 from simbias.pictures.trial.gallery import FIGURES
 from simbias.report.pages import sweep_page, trial_page, write_report
-from simbias.sweep.folder import SweepFolder
+from simbias.sweep.folder import CHANGED, SweepFolder
 from simbias.trial.disk import write_json
 from simbias.trial.folder import TrialFolder
 from simbias.trial.run import run_trial
@@ -143,6 +143,11 @@ def test_the_page_of_a_sweep(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     write_json(file.parent / "state.json", state | {"drawn": dict.fromkeys(state["captions"], 1)})
     page = sweep_page(SweepFolder(file.parent))
     assert "Drawn from 1 trial; it is drawn again once all have ended." in page
+    assert escape(CHANGED) not in page
+    outcome = next(tmp_path.glob("trials/*/outcome.json"))
+    ended = json.loads(outcome.read_text())
+    write_json(outcome, ended | {"experiments": 7, "max_experiments": 7})  # resumed after a withdrawal
+    assert escape(CHANGED) in sweep_page(SweepFolder(file.parent))
 
 
 def test_claims_that_a_test_contradicts_are_counted(tmp_path: Path) -> None:
@@ -157,8 +162,7 @@ def test_claims_that_a_test_contradicts_are_counted(tmp_path: Path) -> None:
     assert "the test of the last policy contradicts 1 of 2 (9% to 91%)" in html
     write_json(tmp_path / "c" / "outcome.json", TrialSummary(Outcome.ERROR).as_json())
     assert "succeeded 2 of 2 (34% to 100%). 1 trial raised an error and is left out." in sweep_page(folder)
-    changed = "Trials have changed since"
-    assert changed not in sweep_page(folder)
-    folder.write_state({"outcomes": {"succeeded": 3}})  # before one was withdrawn
+    assert escape(CHANGED) not in sweep_page(folder)
+    folder.write_state({"outcomes": {"succeeded": 3}, "digest": ""})  # before one was withdrawn
     assert "succeeded 3 of 3" in (html := sweep_page(folder))
-    assert changed in html
+    assert escape(CHANGED) in html

@@ -36,7 +36,7 @@ from simbias.config import ConfigError
 from simbias.engine.contract import EngineLostError
 from simbias.engine.sequential import Sequential
 from simbias.sweep import results, tables
-from simbias.sweep.folder import SweepFolder
+from simbias.sweep.folder import CHANGED, SweepFolder
 from simbias.sweep.grid import Trial, expand
 from simbias.sweep.running import SweepObserver
 from simbias.sweep.worker import Plan, Result, run_plan
@@ -432,10 +432,12 @@ def test_a_sweep_that_was_relabelled_is_shown_as_it_is_now_and_a_part_of_it_whol
     write_sweep(folder, "mine", whole)
     assert main(command) == 0
     assert {run.info.run_id for run in runs(folder)[1]} == {run.info.run_id for run in trials}
-    meanless = {**state(folder), "mean_experiments": None}  # as of trials with errors alone
+    meanless = {**state(folder), "mean_experiments": None, "digest": ""}  # as of trials with errors alone
+    assert CHANGED not in runs(folder)[0][0].data.tags["mlflow.note.content"]
     SweepFolder(sweep_folder(folder)).write_state(meanless)
     for _ in range(2):
         assert main(["export", store]) == 0
+    assert CHANGED in runs(folder)[0][0].data.tags["mlflow.note.content"]
     steps, means = zip(*histories(folder)[parent.info.run_id, "experiments/mean"], strict=True)
     assert np.isnan(means).tolist() == [False] * (len(steps) - 1) + [True]
     capsys.readouterr()
