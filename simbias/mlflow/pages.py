@@ -13,7 +13,7 @@ NOTE = "mlflow.note.content"  # MLflow's tag for a run's description
 RUN_NAME = "mlflow.runName"  # MLflow's tag for its name
 PARENT = "mlflow.parentRunId"  # MLflow's tag that nests runs
 AXIS = "axis."  # prefix of the tags that say where on the sweep's axes a trial lies
-EXPERIMENTS, OUTCOME = "metrics.`experiments/total`", "tags.`outcome`"
+EXPERIMENTS, OUTCOME = "metrics.`trial/experiments`", "tags.`outcome`"
 
 
 def run_page(experiment_id: str, run_id: str, file: str = "") -> str:
@@ -29,7 +29,10 @@ def list_page(experiment_id: str, sweep: str = "") -> str:
 
 
 def trials_view(sweep: Mapping[str, Any], parent: str) -> tuple[str, str]:
-    """Tag of the experiment (key, value) for MLflow to list a sweep's trials: fewest experiments first."""
+    """Tag of the experiment (key, value) for MLflow to list a sweep's trials: fewest experiments first.
+
+    Without success a trial counts as all that its method may make.
+    """
     columns = [EXPERIMENTS, OUTCOME, *map(_column, sweep["axes"])]
     state: dict[str, Any] = {
         "searchFilter": f"tags.`{PARENT}` = '{parent}'",

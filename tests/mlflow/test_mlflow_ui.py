@@ -90,7 +90,7 @@ def screenshot(page: Page, name: str) -> None:
 def test_the_printed_address_shows_the_sweep_and_its_trials(page: Page) -> None:
     """With table and figure; in MLflow's list it unfolds.
 
-    Trials are listed fewest experiments first, by the axes, and have charts and pictures.
+    Trials are listed by their axes, fewest experiments first, and have charts and pictures.
     """
     printed = page.url
     expect(page.get_by_role("heading", name=NAME)).to_be_visible()
@@ -105,9 +105,9 @@ def test_the_printed_address_shows_the_sweep_and_its_trials(page: Page) -> None:
     page.goto(printed)
     follow(page, "trials")
     expect(links(page, TRIAL)).to_have_count(TRIALS)
-    for head in ("experiments/total", "outcome", *AXES):
+    for head in ("trial/experiments", "outcome", *AXES):
         expect(page.get_by_role("columnheader", name=head).first).to_be_visible()
-    column = page.locator("[role=gridcell][col-id='metrics.`experiments/total`']")
+    column = page.locator("[role=gridcell][col-id='metrics.`trial/experiments`']")
     expect(column).to_have_count(TRIALS)
     found = list(map(int, column.all_inner_texts()))
     assert found == sorted(found)
