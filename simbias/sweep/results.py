@@ -3,9 +3,9 @@
 It has a row for each trial, with a column for each of the sweep's axes and `hash`, `repetition`, `seed`,
 `outcome` (`succeeded`, `not succeeded` or `error`), `experiments` (hardware experiments until success;
 without success all that the method may make, 2 x N_out = 20 by Table I), `iterations` (likewise), `seconds`
-(wall time), `hardware_seconds` (duration of its experiments) and `raised` (its error). Where its last policy
-was tested, `test_episodes` has a 1 for each episode in which it succeeds and a 0 for each other,
-`lasting_episodes` a 1 for each that lasts to its own end,
+(wall time), `hardware_seconds` (duration of the experiments made, also without success) and `raised` (its
+error). Where its last policy was tested, `test_episodes` has a 1 for each episode in which it succeeds and a
+0 for each other, `lasting_episodes` a 1 for each that lasts to its own end,
 `long_success_rate` is the share of long episodes in which it lasts to the end, and `long_seconds` how long it
 does on average.
 """

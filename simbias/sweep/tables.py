@@ -37,11 +37,12 @@ def cells(trials: pd.DataFrame, sweep: Sweep) -> pd.DataFrame:
     `trials` counts those that ran to an end, `succeeded` those with success; `mean`, and `low` to `high`, its
     interval (`simbias.sweep.statistics.interval`), are of the number of experiments; `iterations` is the mean
     of theirs; `raised` counts trials that ended by an error, which are in no other number; `paper` is the
-    paper's mean, nan where it has none. Means too are `hardware_seconds`, `success_rate`, the share of test
-    episodes in which the last policies succeed (where the task has no success of its own: last for its
-    horizon), `reliable`, the share of trials in which this is at least RELIABLE, and `long_success_rate`, the
-    share of long test episodes that last to their end. Of `tested` last policies, with as many episodes as it
-    takes, `holding` pass the report's bar (`simbias.sweep.statistics.holds`).
+    paper's mean, nan where it has none. Means too are `hardware_seconds`, of the experiments made,
+    `success_rate`, the share of test episodes in which the last policies succeed (where the task has no
+    success of its own: last for its horizon), `reliable`, the share of trials in which this is at least
+    RELIABLE, and `long_success_rate`, the share of long test episodes that last to their end. Of `tested`
+    last policies, with as many episodes as it takes, `holding` pass the report's bar
+    (`simbias.sweep.statistics.holds`).
     """
     names = [axis.name for axis in sweep.axes]
     trials_of: dict[tuple[str, ...], list[dict[Any, Any]]] = {cell.labels: [] for cell in sweep.cells}
@@ -201,11 +202,13 @@ def _left_out(count: int, why: str) -> str:
 def legend(sweep: Sweep, trials: pd.DataFrame) -> str:
     """The meaning of the numbers, in words."""
     iterations = "iterations: likewise; " if "iterations" in sweep.report.measures else ""
+    seconds = "hardware_seconds: mean duration of the experiments made, also without success; "
+    seconds *= "hardware_seconds" in sweep.report.measures
     return (
         f"experiments: mean number of hardware experiments until success [{CONFIDENCE:.0%} bootstrap "
         f"interval, where at least {FEWEST} trials are not all equal]; {iterations}a trial that never "
-        "succeeds counts all that it may make; beside counts: Wilson intervals of the share, of trials that "
-        f"are independent.{_of_tests(sweep, trials)}{left_out(trials['outcome'])}"
+        f"succeeds counts all that it may make; {seconds}beside counts: Wilson intervals of the share, of "
+        f"trials that are independent.{_of_tests(sweep, trials)}{left_out(trials['outcome'])}"
     )
 
 

@@ -25,7 +25,7 @@ from simbias.sweep.statistics import (
     probability_of_improvement,
     sign_test,
 )
-from simbias.sweep.tables import cells, interval, layout, legend
+from simbias.sweep.tables import BLANK, cells, interval, layout, legend
 from simbias.terminal.sweep import seconds_left
 
 
@@ -154,14 +154,15 @@ def test_a_failure_counts_all_experiments_and_an_error_none(smoke: Sweep) -> Non
 def test_measures_are_those_that_the_report_names() -> None:
     """A number at the head of columns says of what it is."""
     columns = "+sweep.report.columns=hardware.inertia_error"
-    sweep = expand(
-        ["+sweep=smoke", "sweep.trials=3", "+sweep.report.measures=[iterations,succeeded]", columns]
-    )
+    measures = ("iterations", "succeeded", "hardware_seconds")
+    report = f"+sweep.report.measures=[{','.join(measures)}]"
+    sweep = expand(["+sweep=smoke", "sweep.trials=3", report, columns])
     laid = layout(cells(made_up(sweep), sweep), sweep)
-    measures = ("iterations", "succeeded")
     heads = [f"inertia error {error}: {name}" for error in ("0", "0.2") for name in measures]
-    assert (laid.head, laid.body) == (heads, [["2.0", "3/3 [44%, 100%]"] * 2])
-    assert "iterations: likewise" in legend(sweep, results.in_order({}, sweep))
+    assert (laid.head, laid.body) == (heads, [["2.0", "3/3 [44%, 100%]", BLANK] * 2])
+    said = legend(sweep, results.in_order({}, sweep))
+    assert "iterations: likewise" in said
+    assert "hardware_seconds: mean duration of the experiments made, also without success" in said
 
 
 @pytest.mark.slow
