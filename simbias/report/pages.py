@@ -24,8 +24,8 @@ from simbias.pictures.trial.gallery import FIGURES
 from simbias.sweep.folder import CHANGED, SWEEP, SweepFolder, sweep_folders
 from simbias.sweep.results import SHOWN
 from simbias.sweep.tables import left_out
-from simbias.trial.disk import write_whole
-from simbias.trial.folder import TRIAL, TrialFolder
+from simbias.trial.disk import loaded, write_whole
+from simbias.trial.folder import EPISODES, TRIAL, TrialFolder
 from simbias.trial.run import TrialRecord
 from simbias.trial.summary import COLUMNS, PARAMETERS, TrialSummary, cells, parameters
 
@@ -99,10 +99,10 @@ def sweep_page(folder: SweepFolder) -> str:
 
 def _sweep_parts(folder: SweepFolder, description: dict) -> Iterator[str]:
     """From how far it is to the config."""
-    summaries = [TrialFolder(folder.trials / name).summary() for name in description["trials"]]
-    shown = [summary for summary in summaries if summary is not None and summary.outcome in SHOWN]
+    summaries = {name: TrialFolder(folder.trials / name).summary() for name in description["trials"]}
+    shown = {name: each for name, each in summaries.items() if each is not None and each.outcome in SHOWN}
     state = folder.state()
-    counts = Counter(state.get("outcomes", map(str, (summary.outcome for summary in shown))))  # as its table
+    counts = Counter(state.get("outcomes", [str(each.outcome) for each in shown.values()]))  # as its table
     ended = counts.total() - counts["error"]
     yield html.paragraph(
         f"{ended} of {len(summaries)} trials have ended; of these succeeded "
@@ -110,7 +110,7 @@ def _sweep_parts(folder: SweepFolder, description: dict) -> Iterator[str]:
     )
     if folder.changed():
         yield html.paragraph(CHANGED)
-    yield from _claims(shown)
+    yield from _claims({TrialFolder(folder.trials / name): each for name, each in shown.items()})
     for file in folder.figures():
         if file.suffix == ".png":
             caption = file.with_suffix(".md")
@@ -135,17 +135,25 @@ def _sweep_parts(folder: SweepFolder, description: dict) -> Iterator[str]:
     yield from _made_with(description)
 
 
-def _claims(trials: list[TrialSummary]) -> Iterator[str]:
+def _claims(trials: Mapping[TrialFolder, TrialSummary]) -> Iterator[str]:
     """How many trials claim more than the test of their last policies bears out."""
-    claiming = [each for each in trials if each.claim and each.test_episodes]
-    tested = [(each.test_episodes, each.claimed_share) for each in claiming]
+    tests = {folder.numbered(EPISODES): each.claimed_share for folder, each in trials.items() if each.claim}
+    tested = [(loaded(file, _holding), share) for file, share in tests.items() if file.exists()]
     if not tested:
         return
-    wrong = sum(wilson(test.count("1"), len(test)).high < share for test, share in tested)
+    wrong = sum(wilson(*held).high < share for held, share in tested)
     yield html.paragraph(
         f"Of trials that claim a share of starts, by their own experiments at 95% confidence, the test of "
-        f"the last policy contradicts {counted_share(wrong, len(tested))}."
+        f"the last policy contradicts {counted_share(wrong, len(tested))}: too few of its episodes last as "
+        "long as an experiment."
     )
+
+
+def _holding(file: Path) -> tuple[int, int]:
+    """The number of test episodes that last as long as an experiment, which a claim is of, and of all."""
+    episodes = pd.read_csv(file, dtype={"failure": str}, keep_default_na=False)
+    lasts = (episodes["failure"] == "") | (episodes["lasted_seconds"] > episodes["asked_seconds"].min())
+    return int(lasts.sum()), len(episodes)
 
 
 def _table(head: list[str], rows: list[list[str]]) -> Iterator[str]:

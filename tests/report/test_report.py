@@ -151,13 +151,17 @@ def test_the_page_of_a_sweep(tmp_path: Path, capsys: pytest.CaptureFixture[str])
 
 
 def test_claims_that_a_test_contradicts_are_counted(tmp_path: Path) -> None:
-    trials = {"a": "0" * 16, "b": "1" * 16, "c": ""}
-    for name, episodes in trials.items():
+    """A claim is of the time that an experiment takes; a long episode that fails later bears it out."""
+    tests = {"a": "60,3,falls\n5,4,falls\n", "b": "60,6,falls\n5,5,\n", "c": ""}
+    for name, episodes in tests.items():
         (tmp_path / name).mkdir()
-        claim = {"claim": "holds", "claimed_share": 0.8, "test_episodes": episodes}
+        claim = {"claim": "holds", "claimed_share": 0.8, "test_episodes": "00" * 8 * bool(episodes)}
+        if episodes:
+            csv = f"asked_seconds,lasted_seconds,failure\n{8 * episodes}"
+            (tmp_path / name / "test_episodes.csv").write_text(csv)
         write_json(tmp_path / name / "outcome.json", TrialSummary(Outcome.SUCCEEDED, **claim).as_json())
     folder = SweepFolder(tmp_path / "sweeps" / "mine")
-    folder.begin({"name": "mine", "trials": dict.fromkeys(trials), "config": {}})
+    folder.begin({"name": "mine", "trials": dict.fromkeys(tests), "config": {}})
     html = sweep_page(folder)
     assert "the test of the last policy contradicts 1 of 2 (9% to 91%)" in html
     write_json(tmp_path / "c" / "outcome.json", TrialSummary(Outcome.ERROR).as_json())
