@@ -11,6 +11,7 @@ LONGEST_REASON = 500  # of what an error says, where it is kept
 LONGEST_VALUE = 80  # of a value in a message
 SHORTEST_SECRET = 4  # that is looked for in any text
 SECRET = re.compile(r"\b(?!sqlite)(\w+(?:\+\w+)?)://\S*@")  # user and password of an address
+COLOUR = re.compile(r"\x1b\[[0-9;]*m")  # of a terminal
 SECRET_VALUE = re.compile(r"([?&]\w*(?:password|token|secret|key)\w*=)([^&\s'\"]+)", re.IGNORECASE)
 
 
@@ -23,8 +24,8 @@ def printable(text: str) -> str:
 
 
 def brief(text: str, longest: int = LONGEST) -> str:
-    """Text on one line, without its middle if it is long; nothing in it moves a terminal's cursor."""
-    line = printable(re.sub(r"\s*[\r\n\t]\s*", " ", text.strip()))
+    """Text on one line, without its middle if it is long, nor a terminal's colours and other controls."""
+    line = printable(re.sub(r"\s*[\r\n\t]\s*", " ", COLOUR.sub("", text).strip()))
     return line if len(line) <= longest else f"{line[: longest // 2 - 2]} ... {line[3 - longest // 2 :]}"
 
 

@@ -34,7 +34,7 @@ LINES = {
     "zero division": "run: expected a Rollout, got ZeroDivisionError: division by zero",
     "recursion": "run: expected a Rollout, got RecursionError: maximum recursion depth exceeded",
     "speechless": "run: expected a Rollout, got SpeechlessError: (its message cannot be read)",
-    "no UTF-8": r"run: expected a Rollout, got OSError: caf\udce9 \x1b[31m",
+    "no UTF-8": r"run: expected a Rollout, got OSError: caf\udce9 \x07 red",
     "long": "run: expected a Rollout, got RuntimeError: xxx",
     "exit": "run: expected a Rollout, got SystemExit: 7",
     "cancelled": "run: expected a Rollout, got CancelledError",

@@ -51,7 +51,7 @@ RAISED: dict[str, Callable[[Rollout], Any]] = {  # what they raise or how they e
     "zero division": lambda rollout: 1 / 0,
     "recursion": _recurse,
     "speechless": lambda rollout: _raise(SpeechlessError()),
-    "no UTF-8": lambda rollout: _raise(OSError("caf\udce9\n\x1b[31m")),
+    "no UTF-8": lambda rollout: _raise(OSError("caf\udce9\n\x07 \x1b[31mred\x1b[0m")),
     "long": lambda rollout: _raise(RuntimeError("x" * 100_000)),
     "exit": lambda rollout: sys.exit(7),
     "cancelled": lambda rollout: _raise(asyncio.CancelledError()),
