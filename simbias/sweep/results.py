@@ -4,10 +4,10 @@ It has a row for each trial, with a column for each of the sweep's axes and `has
 `outcome` (`succeeded`, `not succeeded` or `error`), `experiments` (hardware experiments until success;
 without success all that the method may make, 2 x N_out = 20 by Table I), `iterations` (likewise), `seconds`
 (wall time), `hardware_seconds` (duration of the experiments made, also without success) and `raised` (its
-error). Where its last policy was tested, `test_episodes` has a 1 for each episode in which it succeeds and a
-0 for each other, `lasting_episodes` a 1 for each that lasts to its own end,
-`long_success_rate` is the share of long episodes in which it lasts to the end, and `long_seconds` how long it
-does on average.
+error). `policy` is a digest of its last policy's parameters. Where that was tested, `test_episodes` has a 1
+for each episode in which it succeeds and a 0 for each other, `lasting_episodes` a 1 for each that lasts to
+its own end, `long_success_rate` is the share of long episodes in which it lasts to the end, and
+`long_seconds` how long it does on average.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from simbias.trial.summary import Outcome, TrialSummary
 DIGITS = 4  # of times in published results
 COUNTS = ("experiments", "iterations")
 SHOWN = (Outcome.SUCCEEDED, Outcome.NOT_SUCCEEDED, Outcome.ERROR)  # outcomes of trials in tables
-EPISODES = ("test_episodes", "lasting_episodes")
+TEXTS = ("test_episodes", "lasting_episodes", "policy")
 # Columns that some published results lack, and what stands there then.
 LATER: Mapping[str, Any] = {
     "hardware_seconds": nan,
-    **dict.fromkeys(EPISODES, ""),
+    **dict.fromkeys(TEXTS, ""),
     "long_success_rate": nan,
     "long_seconds": nan,
 }
@@ -121,8 +121,8 @@ def read(path: Path, names: Sequence[str]) -> pd.DataFrame:
     ConfigError
         If it lacks a column.
     """
-    numbers = (*COUNTS, "seconds", *(name for name in LATER if name not in EPISODES))
-    types = {**dict.fromkeys((*names, *EPISODES), str), **dict.fromkeys(numbers, float)}
+    numbers = (*COUNTS, "seconds", *(name for name in LATER if name not in TEXTS))
+    types = {**dict.fromkeys((*names, *TEXTS), str), **dict.fromkeys(numbers, float)}
     blanks = {name: [""] for name in numbers}
     trials = pd.read_csv(path, dtype=types, keep_default_na=False, na_values=blanks)
     trials = trials.assign(**{name: blank for name, blank in LATER.items() if name not in trials})

@@ -12,6 +12,7 @@ from pathlib import Path
 from threadpoolctl import threadpool_limits
 
 from simbias.core import Controller, Waiting, platform
+from simbias.core.digest import short_digest
 from simbias.core.error_origin import has_own_code, told
 from simbias.core.errors import ConfigError
 from simbias.core.messages import with_trace, with_type, words
@@ -237,6 +238,7 @@ class _Run(Observer):
             success_rate=test.success_rate if test else nan,
             long_success_rate=test.long_success_rate if test else nan,
             long_seconds=test.long_seconds if test else nan,
+            policy=short_digest(self._iterations[-1].parameters.tobytes()) if self._iterations else "",
             test_words=test.words if test else "",
             claim=str(claim) if claim else "",
             claimed_share=claim.low if claim else nan,

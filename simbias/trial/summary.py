@@ -71,6 +71,7 @@ class TrialSummary:
     success_rate: float = nan  # share of test episodes
     long_success_rate: float = nan  # likewise, of the long ones
     long_seconds: float = nan  # mean duration of these
+    policy: str = ""  # a digest of the last one's parameters
     test_words: str = ""  # the test in one sentence
     claim: str = ""  # of the last policy, by the trial's own experiments: holds 90% of starts (80% to 96%)
     claimed_share: float = nan  # of starts, at least

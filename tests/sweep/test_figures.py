@@ -50,11 +50,11 @@ def test_comparisons_numbers_are_those_of_the_trials() -> None:
     axes = f"{{cell: {{points: {{cart-pole: {{preset: cartpole}}}}}}, method: {{points: {METHODS}}}}}"
     sweep = expand([f"+sweep={{trials: 3, common_seeds: [method], axes: {axes}}}"])
 
-    def made_up(texts: dict[str, list[str]]) -> SweptTrials:
+    def made_up(texts: dict[str, list[str]], policy: str = "") -> SweptTrials:
         """Trials whose last policies last in these test episodes, "-" untested; an error where none is."""
         rows = [
             {"cell": "cart-pole", "method": method, "hash": trial.hash, "repetition": trial.repetition}
-            | {"experiments": 2.0 + trial.repetition if text else np.nan}
+            | {"policy": policy, "experiments": 2.0 + trial.repetition if text else np.nan}
             | {"outcome": "succeeded" if text else "error"}
             | dict.fromkeys(("test_episodes", "lasting_episodes"), text.strip("-"))
             for trial in sweep.trials
@@ -73,12 +73,16 @@ def test_comparisons_numbers_are_those_of_the_trials() -> None:
     assert numbers["experiments"].to_dict() == {"LQR": 2.5, "LQI": 3.0, "ideal": 3.0}
     assert numbers["mean_share"].to_dict() == pytest.approx({"LQR": 0.0, "LQI": 1 / 3, "ideal": 1.0})
     assert numbers["better LQI"].dropna().to_dict() == pytest.approx({"LQR": 1 / 6, "ideal": 1.0})
-    assert numbers["p LQI"].isna().all()  # of a single cell
-    assert numbers.loc["ideal", "holds_low"] == wilson(1, 1).low
+    assert numbers.loc["ideal", "p LQI"] == pytest.approx(2 * 2 * 0.5**3)  # three pairs of two tests
+    assert numbers.loc["ideal", "holds_low"] == wilson(3, 3).low
+    copies = Comparison("method", ["LQI"]).draw(made_up(texts, "that of all"), ()).numbers
+    assert copies["p LQI"].isna().all()
+    assert copies.set_index("method").loc["ideal", "holds_low"] == wilson(1, 1).low
     lasts = "the last policy lasts for the task's horizon without a failure, long ones to their end"
     assert lasts in picture.caption
     assert picture.caption.endswith(
-        " Policies hold most often with ideal 3 of 3 (21% to 100%), by Wilson intervals over cells."
+        " Policies hold most often with ideal 3 of 3 (44% to 100%), by Wilson intervals (over cells; of one, "
+        "over its policies)."
     )
     picture_of_two = Comparison("method").draw(made_up({"ideal": [half, all_of_16, all_of_16]}), ())
     (curve,) = picture_of_two.figure.axes[-1].lines
@@ -90,9 +94,9 @@ def test_comparisons_numbers_are_those_of_the_trials() -> None:
     none = Comparison("method").draw(made_up({"LQI": [fallen] * 3}), ())
     assert none.caption.endswith(" No trial ends with a policy that holds.")
     tie = Comparison("method").draw(made_up({"LQI": [all_of_16, "-", "-"], "ideal": [all_of_16] * 3}), ())
-    assert "hold equally often with LQI 1 of 1 (21% to 100%), ideal 3 of 3 (21% to 100%), by" in tie.caption
+    assert "hold equally often with LQI 1 of 1 (21% to 100%), ideal 3 of 3 (44% to 100%), by" in tie.caption
     raised = Comparison("method").draw(made_up({"LQI": [all_of_16, "", ""], "ideal": [all_of_16] * 3}), ())
-    assert "hold most often with ideal 3 of 3 (21% to 100%), by" in raised.caption  # of LQI 1 of 1
+    assert "hold most often with ideal 3 of 3 (44% to 100%), by" in raised.caption  # of LQI 1 of 1
     labels = [text.get_text() for text in raised.figure.axes[0].get_yticklabels()]
     assert labels == ["LQI, 2 raised", "ideal"]
     only = Comparison("method").draw(made_up({"LQI": [all_of_16, "", ""]}), ())

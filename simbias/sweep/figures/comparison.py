@@ -51,7 +51,8 @@ class Comparison(SweepFigure):
     Above: mean score in each cell, and the interquartile mean with its bootstrap interval.
     Below: performance profiles, and the share of trials that are a success within so many experiments.
     Intervals and tests are over cells, since trials of a cell may be copies of one, as those of LQR are: a
-    Wilson interval is that of as many trials as there are cells, and of a single cell there is no test.
+    Wilson interval is that of as many trials as there are cells. Of a single cell they are over its trials,
+    of which those with the same policy count once.
 
     Parameters
     ----------
@@ -59,8 +60,8 @@ class Comparison(SweepFigure):
         Whose points are compared.
     references
         Points that all others are held against: by the probability of improvement, and by exact sign tests of
-        the cells' shares of trials that are a success, corrected by Holm over all tests against one
-        reference.
+        the cells' shares of trials that are a success, or of a single cell's pairs of trials, corrected by
+        Holm over all tests against one reference.
     curves
         Points whose curves are drawn; none named: the first eight.
     """
@@ -113,7 +114,8 @@ def _scored(table: pd.DataFrame, bar: float) -> pd.DataFrame:
     tests = [*map(passed, table["test_episodes"], table["lasting_episodes"])]
     scores = np.array([text.count("1") / len(text) if text else np.nan for text in tests])
     score = np.where(table["outcome"] == "error", np.nan, scores)
-    return table.assign(score=score, holds=verdicts(tests, bar))
+    policy = table["policy"].where(table["policy"] != "", table["hash"])  # some published results lack it
+    return table.assign(score=score, holds=verdicts(tests, bar), policy=policy)
 
 
 class _Method:
@@ -135,9 +137,11 @@ class _Method:
     def row(self, name: str) -> dict[str, Any]:
         """The method in numbers."""
         held, judged = int(self.trials["holds"].sum()), int(self.trials["holds"].count())
-        scores, cells = self.matrix(self.tried), int(np.isfinite([*self.holding.values()]).sum())
+        scores, units = self.matrix(self.tried), int(np.isfinite([*self.holding.values()]).sum())
+        if units == 1:
+            units = self.trials.loc[self.trials["holds"].notna(), "policy"].nunique()
         low, high = bootstrap(interquartile_mean, scores)
-        least, most = wilson(cells * held / max(judged, 1), cells)
+        least, most = wilson(units * held / max(judged, 1), units)
         return {
             "method": name,
             "trials": len(self.trials),
@@ -155,7 +159,7 @@ class _Method:
 
 
 def _against(methods: dict[str, _Method], reference: _Method) -> pd.DataFrame:
-    """Probability of improvement over a reference, its interval, and Holm's p of the cells' sign tests."""
+    """Probability of improvement over a reference, its interval, and Holm's p of sign tests."""
     rows, p = {}, {}
     for name, method in methods.items():
         cells = [cell for cell in method.tried if cell in reference.tried]
@@ -165,10 +169,19 @@ def _against(methods: dict[str, _Method], reference: _Method) -> pd.DataFrame:
         low, high = bootstrap(probability_of_improvement, *both)
         rows[name] = {"better": probability_of_improvement(*both), "better_low": low, "better_high": high}
         differences = [method.holding[cell] - reference.holding[cell] for cell in cells]
+        if len(cells) == 1:
+            differences = _of_pairs(method, reference)
         if np.isfinite(differences).sum() > 1:
             p[name] = sign_test(differences)
     table = pd.DataFrame.from_dict(rows, orient="index")
     return table.assign(p=pd.Series(holm(p), dtype=float))
+
+
+def _of_pairs(method: _Method, reference: _Method) -> list[float]:
+    """Differences of a cell's pairs of trials in whether they hold; those of the same policies count once."""
+    both = method.trials.join(reference.trials, rsuffix=" of reference", how="inner")
+    different = both[~both.duplicated(["policy", "policy of reference"])]
+    return (different["holds"] - different["holds of reference"]).tolist()
 
 
 def _caption(numbers: pd.DataFrame, sweep: Sweep) -> str:
@@ -178,7 +191,7 @@ def _caption(numbers: pd.DataFrame, sweep: Sweep) -> str:
     held = ", ".join(map(_held, best))
     alike = len(best) == shares.count() > 1
     often = f"{'equally' if alike else 'most'} often"
-    most = f" Policies hold {often} with {held}, by Wilson intervals over cells."
+    most = f" Policies hold {often} with {held}, by Wilson intervals (over cells; of one, over its policies)."
     if not shares.any():
         most = " No trial ends with a policy that holds." * bool(shares.count())
     few = int((numbers["trials"] - numbers["judged"]).sum())
