@@ -4,6 +4,7 @@ import ast
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from point_mass import PointMass
 
 from simbias.core import Policy, Quantity, Task
 from simbias.core.records import Array
+from simbias.lab.requests import controller as templates
 from simbias.lab.requests import verification
 from simbias.lab.requests.controller import c_header, harmless, python_module
 from simbias.lab.requests.folder import files
@@ -203,6 +205,19 @@ def test_code_is_held_against_the_policy_after_an_abort_too(monkeypatch: pytest.
     assert difference(*law, header, module) == ""
     said = difference(*law, header, module.replace("0.5 * ", "0.25 * "))
     assert said.startswith("in Python, frame 2 gives abort, u = [0.0, ")
+
+
+def test_code_is_held_against_the_policy_after_the_horizon_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """If it depends on time, whatever limits would end it before."""
+
+    class Limited(ExperimentRequest):
+        bounds = replace(bounds_of(PointMass(horizon=250), 0.1), input_rates=np.full(1, 1e-3))
+
+    task = PointMass(horizon=250)
+    request = Limited(task, Integral(task), np.array([0.01]), task.start_mean)
+    stopped = templates.MODULE.replace("self.frame *", "min(self.frame, 270) *")
+    monkeypatch.setattr(templates, "MODULE", stopped)
+    assert request.why_no_code.startswith("in Python, frame 271 gives")
 
 
 class Chaotic(Integral):

@@ -67,20 +67,26 @@ class ExperimentRequest:
     @cached_property
     def why_no_code(self) -> str:
         """Why the controller is not to be had as code; "" if its code does what the policy does."""
-        if isinstance(self.formulas, str):
-            return self.formulas
-        code = self.code("")
-        return difference(self.policy, self.task, self.theta, self.bounds, code[HEADER], code[MODULE])
+        law = self.formulas
+        if isinstance(law, str):
+            return law
+        found = self._difference(law, self.bounds)
+        plain = formulas_of(self.policy, self.task, self.theta)
+        if found or isinstance(plain, str) or not plain.time_dependent:
+            return found
+        return self._difference(plain, NO_LIMITS.bounds(self.task), whole=True)  # none ends it before
+
+    def _difference(self, law: Formulas, bounds: Bounds, whole: bool = False) -> str:
+        """How the law as code, within these limits, differs from the policy; "" if it does not."""
+        written = _written(self.task, law, "", bounds)
+        return difference(self.policy, self.task, self.theta, bounds, *written, whole)
 
     def code(self, title: str) -> dict[str, str]:
         """The controller in C and in Python, by the names of their files; empty without formulas."""
         law = self.formulas
         if isinstance(law, str):
             return {}
-        return {
-            HEADER: c_header(self.task, law, title, self.bounds),
-            MODULE: python_module(self.task, law, title, self.bounds),
-        }
+        return dict(zip((HEADER, MODULE), _written(self.task, law, title, self.bounds), strict=True))
 
     def text(self) -> str:
         """The request as JSON; null is no limit."""
@@ -124,6 +130,11 @@ class ExperimentRequest:
                 for each in task.criteria
             ],
         }
+
+
+def _written(task: Task, law: Formulas, title: str, bounds: Bounds) -> tuple[str, str]:
+    """The law in C and in Python."""
+    return c_header(task, law, title, bounds), python_module(task, law, title, bounds)
 
 
 def refuse_copy(source: str, asked: Mapping[str, Any], other: str, content: Mapping[str, Any]) -> None:

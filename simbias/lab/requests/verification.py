@@ -1,4 +1,4 @@
-"""Generated controllers are held against the policy before they are written, over hundreds of frames."""
+"""Generated controllers are held against the policy before they are written, frame by frame."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ from simbias.lab.safety import Bounds, SafetyLimitedPolicy, UnsafeError, without
 
 FRAMES = 200  # of each sequence of states
 AMPLITUDES = (0.0, 0.01, 0.1, 1.0, 10.0)  # of the sequences, besides the deviation of starts
+AFTER = 50  # frames after the horizon that are compared too
+STEPS = np.geomspace(0.01, 10.0, 50)  # that states make; the smallest is taken where no input is cut off
 AGREEMENT = 1e-9  # relative to the largest input
 ROUNDING = 2.0**-52  # of measurements, relative; what this changes grows where a policy state is chaotic,
 ROUNDED = 1e3  # and so many times as much is no difference,
@@ -53,13 +55,17 @@ int main(void)
 """
 
 
-def difference(policy: Policy, task: Task, theta: Array, bounds: Bounds, header: str, module: str) -> str:
+def difference(
+    policy: Policy, task: Task, theta: Array, bounds: Bounds, header: str, module: str, whole: bool = False
+) -> str:
     """Difference of the controllers in C and Python from the policy theta (p,), in a line; "" if none.
 
-    C is tried where there is a compiler, `cc`. What rounding alone changes is no difference.
+    C is tried where there is a compiler, `cc`. What rounding alone changes is no difference. The whole is the
+    horizon and some frames after it, which no limit of `bounds` may end; else the first frames are compared.
     """
     limited = SafetyLimitedPolicy(without_limits(policy), task, bounds)
-    sequences, start = _sequences(task), partial(limited.controller, theta, task.time_step)
+    sequences = [_wandering(policy, task, theta)] if whole else _sequences(task)
+    start = partial(limited.controller, theta, task.time_step)
     expected = [_run(start, states, task) for states in sequences]
     names: dict[str, Any] = {}
     exec(compile(module, "<controller.py>", "exec"), names)
@@ -99,6 +105,22 @@ def _sequences(task: Task) -> list[Array]:
         states = task.start_mean + growing * around
         sequences.append(np.concatenate([states, np.full((1, n), np.nan), task.start_mean[None]]))
     return sequences
+
+
+def _wandering(policy: Policy, task: Task, theta: Array) -> Array:
+    """States (k, n) over the horizon and after it that wander, so that inputs are seldom cut off."""
+    rng, x, policy_state = np.random.default_rng(0), task.start_mean, np.zeros(policy.state_size)
+    lower, upper = task.input_bounds
+    states = np.empty((task.horizon + AFTER, len(x)))
+    for frame in range(len(states)):
+        for step in STEPS:
+            states[frame] = x + step * rng.standard_normal(len(x))
+            with np.errstate(all="ignore"):
+                u, kept = policy.act(theta, states[frame].copy(), frame * task.time_step, policy_state)
+            if ((lower < u) & (u < upper)).all():
+                break
+        x, policy_state = states[frame], kept
+    return states
 
 
 def _run(start: Callable[[], Any], states: Array, task: Task) -> Array:
