@@ -7,6 +7,7 @@ import subprocess
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
+from platform import machine
 from typing import Any
 
 import numpy as np
@@ -218,6 +219,38 @@ def test_code_is_held_against_the_policy_after_the_horizon_too(monkeypatch: pyte
     stopped = templates.MODULE.replace("self.frame *", "min(self.frame, 270) *")
     monkeypatch.setattr(templates, "MODULE", stopped)
     assert request.why_no_code.startswith("in Python, frame 271 gives")
+
+
+LOOKED_UP = """
+int main(void)
+{
+    static double column[128];
+    for (int rows = 2; rows < 127; ++rows)
+        for (int horizon = rows; horizon < 500; ++horizon) {
+            const double spacing = horizon * 0.02 / (rows - 1);
+            for (int i = 0; i < 128; ++i)
+                column[i] = i < rows ? i : NAN;
+            for (int frame = horizon - 1; frame < horizon + 2; ++frame) {
+                const double position = frame * 0.02 / spacing, end = rows - 1;
+                const double value = simbias_interpolated(frame * 0.02 / spacing, rows, column);
+                if (!(fabs(value - (position < end ? position : end)) < 1e-9))
+                    return 1;
+            }
+        }
+    return 0;
+}
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(COMPILER is None or machine() not in ("x86_64", "AMD64"), reason="no compiler for x87")
+def test_nothing_beyond_a_table_is_read_where_numbers_are_more_precise(tmp_path: Path) -> None:
+    """In the registers of x87 a time just before the horizon may round up to it."""
+    (tmp_path / "main.c").write_text(f"#include <math.h>\n{templates.INTERPOLATED}{LOOKED_UP}")
+    for options in (["-O2"], ["-O1", "-mfpmath=387"], ["-O3", "-mfpmath=387"]):
+        command = [str(COMPILER), *options, "-o", tmp_path / "main", tmp_path / "main.c"]
+        subprocess.run(command, check=True)
+        assert subprocess.run([tmp_path / "main"]).returncode == 0, options
 
 
 class Chaotic(Integral):

@@ -76,8 +76,9 @@ static inline int simbias_control(simbias_controller *controller, const double x
 INTERPOLATED = """
 static inline double simbias_interpolated(double position, int rows, const double *column)
 {
-    const int row = position < rows - 1 ? (int)position : rows - 2;
-    const double share = position < rows - 1 ? position - row : 1.0;
+    const int reached = position < rows - 1 ? (int)position : rows - 2;
+    const int row = reached < rows - 1 ? reached : rows - 2; /* (int)position may be rounded up to rows - 1 */
+    const double share = position - row < 1.0 ? position - row : 1.0;
     return column[row] + share * (column[row + 1] - column[row]);
 }
 """
