@@ -40,6 +40,7 @@ from simbias.core.robot import (
     Task,
     Waiting,
     failure_name,
+    rate_pairs,
     rates_and_positions,
     wrapped,
 )

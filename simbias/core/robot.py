@@ -113,16 +113,41 @@ def by_quantity(
     return np.array([next((values[name] for name in own if name in values), default) for own in names])
 
 
-def rates_and_positions(quantities: Sequence[Quantity]) -> tuple[Indices, Indices]:
-    """Places (n / 2,) of rates, and of what they are the rates of, in the same order.
+def rate_pairs(quantities: Sequence[Quantity]) -> list[tuple[int, int]]:
+    """Places of positions and of their rates, which have the position's unit per second.
 
-    ValueError if there are not as many rates as others.
+    Of several, a rate's name begins or ends with its position's; if names do not tell, they are in the same
+    order.
     """
-    is_rate = np.array([quantity.is_rate for quantity in quantities])
-    rates, positions = np.flatnonzero(is_rate), np.flatnonzero(~is_rate)
-    if len(rates) != len(positions):
-        raise ValueError("the task has not a rate for each position")
-    return rates, positions
+    pairs: list[tuple[int, int]] = []
+    for unit in {quantity.unit for quantity in quantities}:
+        positions, rates = (
+            [i for i, quantity in enumerate(quantities) if quantity.unit == each]
+            for each in (unit, unit + RATE)
+        )
+        names = [quantities[i].name for i in positions]
+        named = [_longest_within(quantities[rate].name, names) for rate in rates]
+        if all(named) and len(set(named)) == len(named):
+            positions = [positions[names.index(name)] for name in named]
+        pairs += zip(positions, rates, strict=False)
+    return sorted(pairs)
+
+
+def _longest_within(name: str, others: Sequence[str]) -> str:
+    """The longest of others that a name begins or ends with; "" if there is none."""
+    within = (each for each in others if name.startswith(each) or name.endswith(each))
+    return max(within, key=len, default="")
+
+
+def rates_and_positions(quantities: Sequence[Quantity]) -> tuple[Indices, Indices]:
+    """Places (n / 2,) of rates, and of what they are the rates of.
+
+    ValueError if a quantity is neither, and the names of all these.
+    """
+    pairs = np.array(rate_pairs(quantities), dtype=np.intp).reshape(-1, 2)
+    if other := [quantity.name for i, quantity in enumerate(quantities) if np.sum(pairs == i) != 1]:
+        raise ValueError(f"the task has not a rate for each position, by their units: {', '.join(other)}")
+    return pairs[:, 1], pairs[:, 0]
 
 
 def check_quantities(task: Task) -> None:

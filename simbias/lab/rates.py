@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from simbias.core import HardwareError, Task
+from simbias.core import HardwareError, Task, rate_pairs
 from simbias.core.records import Array, Indices, Rollout
 from simbias.learning.noise import noise_of
 
@@ -21,9 +21,8 @@ RARELY, FAR = 0.98, 4.0  # the share of samples that a jump exceeds, and how man
 
 
 def rates_of(task: Task) -> dict[int, int]:
-    """Of each state that is another's rate, by its place and unit: that one."""
-    units, half = [state.unit for state in task.states], len(task.states) // 2
-    return {i: i - half for i in range(half, len(units)) if units[i] == f"{units[i - half]}/s"}
+    """Of each state that is another's rate: that one, by their places."""
+    return {rate: position for position, rate in rate_pairs(task.without_targets.states)}
 
 
 def check_rates(source: str, pieces: Sequence[Rollout], task: Task, rates: Mapping[int, int]) -> None:

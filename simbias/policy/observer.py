@@ -103,7 +103,7 @@ class RateFilter(Observer):
 class RatesOfPositions(Observer):
     """r <- r + alpha (dq / dt - r): differences of positions, filtered; measured rates are not used.
 
-    ValueError if a task has not as many rates as other states: they are taken in the same order.
+    ValueError if a task has not a rate for each other state, in its unit per second.
     """
 
     bounds = (np.array([LEAST]), np.array([1.0]))

@@ -19,7 +19,7 @@ class NoNominal(Nominal):
     Raises
     ------
     ValueError
-        If positions are to move, and the task has not a rate for each: they are taken in the same order.
+        If positions are to move, and the task has not a rate for each: a state in its unit per second.
     """
 
     def __init__(self, task: Task, kinematics: bool = False) -> None:

@@ -12,7 +12,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from simbias.core import Quantity
+from simbias.core import Quantity, rate_pairs
 from simbias.core.parameters import Estimate, Parameter
 from simbias.core.records import Iteration, Rollout
 from simbias.pictures import costs, forecast, phases, prediction_errors, rejections
@@ -28,7 +28,7 @@ from simbias.pictures.elements.style import (
 )
 from simbias.pictures.trial.comparison import simulated, worst_experiment
 from simbias.pictures.trial.errors import prediction_error, windows
-from simbias.pictures.trial.phases import phase_pairs, state_bounds
+from simbias.pictures.trial.phases import state_bounds
 from simbias.trial.study import Study
 
 
@@ -44,7 +44,7 @@ def again(study: Study, iteration: Iteration) -> list[Rollout]:
 def test_phases_show_every_rollout(short: Study, trial: list[Iteration]) -> None:
     """And shade what is beyond a limit that came near."""
     portrait, pairs = phases(short, trial), [(0, 3), (1, 4), (2, 5)]
-    assert phase_pairs(short.task) == pairs
+    assert rate_pairs(short.task.states) == pairs
     for row, iteration in enumerate((trial[0], trial[-1])):
         for column, (i, rate) in enumerate(pairs):
             axes = portrait.axes[3 * row + column]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import simbias
-from simbias.core import Quantity
+from simbias.core import Quantity, rate_pairs
 from simbias.robots.none import NoNominal
 from simbias.trial.observer import Observer
 from simbias.trial.steps import search
@@ -32,11 +32,26 @@ def test_without_a_model_nothing_moves_or_positions_by_their_rates(study: Study)
     np.testing.assert_allclose(residual, h * np.array([[5.0 * h, 5.0], [-7.0 * h, -7.0]]), rtol=1e-9)
 
 
+def test_rates_are_told_by_units_and_names() -> None:
+    """In any order; where names do not tell, as those of one unit follow each other."""
+    for states, pairs in (
+        ("x angle d_angle d_x", [(0, 3), (1, 2)]),
+        ("x d_x angle d_angle", [(0, 1), (2, 3)]),
+        ("q1 q10 q10_dot q1_dot", [(0, 3), (1, 2)]),
+        ("q1 q2 v1 v2 heading", [(0, 2), (1, 3)]),
+    ):
+        quantities = [
+            Quantity(name, ("m" if "x" in name else "rad") + "/s" * (name[0] in "dv" or "dot" in name))
+            for name in states.split()
+        ]
+        assert rate_pairs(quantities) == pairs
+
+
 @pytest.mark.slow
 def test_positions_without_rates_of_their_own_are_refused(study: Study) -> None:
     task = copy(study.task)
     task.states = (*task.states, Quantity("other", "rad"))
-    with pytest.raises(ValueError, match="the task has not a rate for each position"):
+    with pytest.raises(ValueError, match="the task has not a rate for each position, by their units: other"):
         NoNominal(task, kinematics=True)
 
 

@@ -19,7 +19,7 @@ class AccelerationResidual(GaussianProcess):
     Raises
     ------
     ValueError
-        If a task has not as many velocities as other states: they are taken in the same order.
+        If a task has not a velocity for each other state, in its unit per second.
     """
 
     version = 2

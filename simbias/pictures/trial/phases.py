@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from simbias.core import Task
+from simbias.core import Task, rate_pairs
 from simbias.core.records import Array, Iteration, Rollout
 from simbias.pictures.elements.drawing import NoPictureError
 from simbias.pictures.elements.layout import headline, legend, panels
@@ -45,7 +45,7 @@ def phases(study: Study, iterations: Sequence[Iteration]) -> Figure:
     NoPictureError
         If no state is the rate of another by its unit, or no policy was tried on the hardware.
     """
-    task, pairs = study.task, phase_pairs(study.task)
+    task, pairs = study.task, rate_pairs(study.task.without_targets.states)
     if not pairs:
         raise NoPictureError(f"no state of {type(task).__name__} has another's unit per second")
     both = first_and_last(on_hardware(iterations))
@@ -76,14 +76,6 @@ def state_bounds(task: Task) -> Array:
             for state in task.states
         ]
     )
-
-
-def phase_pairs(task: Task) -> list[tuple[int, int]]:
-    """Indices of states and their rates: the k-th state in a unit, and the k-th in that unit per second."""
-    units = [quantity.unit for quantity in task.states]
-    rates = {unit: iter([i for i, other in enumerate(units) if other == f"{unit}/s"]) for unit in units}
-    pairs = ((i, next(rates[unit], None)) for i, unit in enumerate(units))
-    return [(i, rate) for i, rate in pairs if rate is not None]
 
 
 def _draw(
