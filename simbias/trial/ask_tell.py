@@ -15,7 +15,8 @@ from simbias.lab.checks import check_rollout
 from simbias.lab.rates import check_rates, rates_of
 from simbias.lab.requests.request import ExperimentRequest, refuse_copy
 from simbias.lab.requests.trajectory import tell_other_commands
-from simbias.lab.targets import beside
+from simbias.lab.safety import without_limits
+from simbias.lab.targets import WithTargets, beside
 from simbias.trial.replay import EndOfRecord, Record
 
 SOURCE = "study.tell"
@@ -67,7 +68,8 @@ class AskTell:
                 if before != now:  # a robot without noise may begin elsewhere than it was asked to
                     logging.getLogger(__name__).warning(AGAIN, SOURCE, number)
         self._answers.append((request, checked))
-        targets = getattr(request.policy, "targets", np.empty(0))
+        policy = without_limits(request.policy)
+        targets = policy.targets if isinstance(policy, WithTargets) else np.empty(0)
         self._told.append(beside(replace(checked, parameters=request.theta), targets))
         self._request = None
 

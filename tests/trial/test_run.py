@@ -187,6 +187,7 @@ def made(study: Study, request: ExperimentRequest) -> Rollout:
 @pytest.mark.usefixtures("uncompiled")
 def test_a_trial_that_is_told_is_the_one_that_runs(point_mass: Study) -> None:
     asked = 0
+    vars(point_mass.policy)["targets"] = np.ones(2)  # set points, say: the task has none
     while (request := point_mass.ask()) is not None:
         assert point_mass.ask() is request  # until it is told
         point_mass.tell(made(point_mass, request))
@@ -199,6 +200,7 @@ def test_a_trial_that_is_told_is_the_one_that_runs(point_mass: Study) -> None:
     for one, other in zip(told, by_itself, strict=True):
         np.testing.assert_array_equal(one.parameters, other.parameters)
         assert (one.hardware_cost, one.succeeded) == (other.hardware_cost, other.succeeded)
+        assert one.experiments[0].states.shape == other.experiments[0].states.shape
     assert point_mass.ask() is None
 
 
