@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from simbias.core import Model
+from simbias.core.errors import ConfigError
 from simbias.core.objective import Mapped
 from simbias.core.records import Array, Iteration, Learning, Optimum, Rollout, Search, Transitions
 from simbias.policy.trajectory import Trajectory
@@ -187,6 +188,13 @@ def iteration_record(
     succeeded = all(map(study.passes, experiments))
     made = model, search, learning, clock.seconds
     return Iteration(index, theta, experiments, cost, succeeded, total_experiments, *made)
+
+
+def log_costs(costs: float | Sequence[float]) -> Array:
+    """The logarithms ln Z of costs (k,) or of one; ConfigError unless they are positive."""
+    if not (least := np.min(costs)) > 0:
+        raise ConfigError("cost", f"is {least:.3g}; this method needs positive costs: it compares ln Z")
+    return np.log(costs)
 
 
 class Stopwatch:

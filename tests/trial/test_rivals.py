@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from conftest import OWN_CONF, POINT_MASS
 from hardware import counted
-from point_mass import InTheWind
+from point_mass import InTheWind, WithoutWind
 
 import simbias
 from simbias.core import Waiting
@@ -30,6 +30,7 @@ from simbias.trial.methods.inaccurate_model import InaccurateModel, along, gradi
 from simbias.trial.methods.multi_fidelity import MultiFidelity
 from simbias.trial.methods.one_shot import OneShot
 from simbias.trial.run import run_trial
+from simbias.trial.steps import log_costs
 from simbias.trial.study import Study
 from simbias.trial.summary import Outcome
 
@@ -147,9 +148,13 @@ def test_the_model_is_exact_along_an_experiment(point_mass: Study) -> None:
     """So its gradient is the hardware's, which the model itself has not."""
     theta = np.array([3.0, 3.0, 0.0])
     rollout = point_mass.experiment(theta, np.random.default_rng(0))
-    (same,) = along(point_mass, theta[None], rollout)
-    np.testing.assert_allclose(same.states, rollout.states, atol=1e-12)
-    direction = gradient(point_mass, theta, rollout)
+    model = point_mass.first_model()
+    heavy = replace(model, nominal=WithoutWind(point_mass.task, 2.0))  # as recordings identify it
+    lightly, heavily = (along(each, np.stack([theta, 0 * theta]), rollout) for each in (model, heavy))
+    for same in (lightly[0], heavily[0]):
+        np.testing.assert_allclose(same.states, rollout.states, atol=1e-12)
+    assert np.abs(lightly[1].states - heavily[1].states[: lightly[1].frames + 1]).max() > 0.01
+    direction = gradient(point_mass, model, theta, rollout)
     hardware = InTheWind(point_mass.task)
 
     def cost(offset: Array) -> float:
@@ -161,6 +166,9 @@ def test_the_model_is_exact_along_an_experiment(point_mass: Study) -> None:
         [cost(1e-3 * w * e) - cost(-1e-3 * w * e) for w, e in zip(width, np.eye(3), strict=True)]
     )
     np.testing.assert_allclose(direction, slopes / np.linalg.norm(slopes), atol=0.02)
+    free = replace(rollout, states=0 * rollout.states)
+    with pytest.raises(ConfigError, match=r"^cost: is 0; this method needs positive costs"):
+        log_costs(point_mass.cost.of(free))
     record = run_trial(replace(point_mass, method=InaccurateModel(step=0.05, max_iterations=6)))
     costs = [iteration.hardware_cost for iteration in record.iterations]
     assert min(costs) < 0.8 * costs[0]  # steps along the gradient cost less

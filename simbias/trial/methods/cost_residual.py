@@ -17,7 +17,7 @@ from simbias.learning.covariance import Hyperparameters
 from simbias.search.lqr import lqr_candidates
 from simbias.trial.method import Method
 from simbias.trial.observer import Observer
-from simbias.trial.steps import Stopwatch, experiment, iteration_record
+from simbias.trial.steps import Stopwatch, experiment, iteration_record, log_costs
 from simbias.trial.study import Study
 
 NOISE = 0.01  # variance of ln Z from start to start, over that of the residual
@@ -72,11 +72,11 @@ class CostResidual(Method):
                 rollouts = experiment(study, model, theta, hardware_rng, observer, self.experiments, 1)
             made += len(rollouts)
             record = iteration_record(study, index, theta, rollouts, made, clock, model, found)
-            added = np.log(record.hardware_cost) - np.log(predicted(theta))
-            tried, residuals = np.vstack([tried, theta]), np.vstack([residuals, [added]])
             yield record
             if record.succeeded:
                 return
+            added = log_costs(record.hardware_cost) - log_costs(predicted(theta))
+            tried, residuals = np.vstack([tried, theta]), np.vstack([residuals, [added]])
 
 
 def _corrected(residual: Posterior, thetas: Array, costs: Array) -> Array:

@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from simbias.core import failure_name
+from simbias.core.model import Model
 from simbias.core.ranges import Count, Deviation
 from simbias.core.records import Array, Iteration, Rollout
 from simbias.trial.method import Method
 from simbias.trial.observer import Observer
-from simbias.trial.steps import Stopwatch, experiment, iteration_record, search
+from simbias.trial.steps import Stopwatch, experiment, iteration_record, log_costs, search
 from simbias.trial.study import Study
 
 NEAR = 1e-3  # of the box's width, to both sides of a policy, for derivatives
@@ -62,25 +63,25 @@ class InaccurateModel(Method):
                 if record.hardware_cost < least:
                     best, least, step = theta, record.hardware_cost, self.step
                     worst = max(rollouts, key=lambda rollout: rollout.cost)
-                    direction = -gradient(study, theta, worst)
+                    direction = -gradient(study, model, theta, worst)
                 else:
                     step /= 2
                 theta = np.clip(best + step * width * direction, *study.policy.bounds)
 
 
-def gradient(study: Study, theta: Array, experiment: Rollout) -> Array:
+def gradient(study: Study, model: Model, theta: Array, experiment: Rollout) -> Array:
     """The direction (p,), of unit length in the box, in which ln Z grows fastest; zero where it is flat."""
     lower, upper = study.policy.bounds
     steps = NEAR * np.diag(upper - lower)
     both = np.concatenate([theta + steps, theta - steps])
-    costs = np.log([study.cost.of(rollout) for rollout in along(study, both, experiment)])
+    costs = log_costs([study.cost.of(rollout) for rollout in along(model, both, experiment)])
     slopes = np.subtract(*np.split(costs, 2))
     return slopes / (np.linalg.norm(slopes) or 1.0)
 
 
-def along(study: Study, thetas: Array, experiment: Rollout) -> list[Rollout]:
+def along(model: Model, thetas: Array, experiment: Rollout) -> list[Rollout]:
     """Rollouts of thetas (k, p) from an experiment's start, on the model made exact along it."""
-    task, nominal, policy, k = study.task, study.nominal, study.policy, len(thetas)
+    task, nominal, policy, k = model.task, model.nominal, model.policy, len(thetas)
     n = len(task.without_targets.states)  # behind them, targets stay as they are
     recorded = experiment.of_states(n)
     missed = recorded.states[1:] - nominal.along(recorded.states[:-1], recorded.inputs)
