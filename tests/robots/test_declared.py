@@ -272,6 +272,10 @@ def test_what_cannot_be_meant_is_refused() -> None:
         ({"goal": {"position": "0.5 + t"}}, "goal.position is 0.95.* where the task fails: leaves"),
         ({"goal": {"position": "sqrt(1 - t)"}}, "goal.position is no number at t = 1"),
         ({"goal": {"position": "angle"}}, "goal.position: 'angle': nothing is called angle; there is t"),
+        (
+            {"goal": {"position": "max(min(1e6 * (t - 2), 0.8), 0)"}},
+            r"goal.position jumps after t = 1.96 s: ",
+        ),
         ({"success": STILL}, "success and hold are to be given together"),
         ({"success": STILL, "hold": 6.0}, "hold is 6 s, and an episode 5 s: none can succeed"),
         ({"success": NEVER, "hold": 1.0}, "success.near cannot hold: .* is 0 m, not below -0.1 at the goal"),
@@ -298,7 +302,11 @@ def test_what_cannot_be_meant_is_refused() -> None:
 def test_a_reference_that_cannot_be_meant_is_refused(tmp_path: Path) -> None:
     for text, message in (
         ("t,position\n0,0\n3,0.1\n", "ends at 3 s; an episode takes 5 s"),
-        ("t,position\n0,0\n1,0.1\n1.01,0.7\n5,0.8\n", "position jumps after t = 1 s"),
+        (
+            "t,position\n0,0\n1,0.1\n1.01,0.7\n5,0.8\n",
+            "goal.position jumps after t = 0.96 s: by 0.605 m in 2 frames",
+        ),
+        ("t,position\n0,0\n1,0\n1.001,0.3\n2,0.3\n2.001,0.6\n5,0.6\n", "position jumps after t = 0.96 s"),
         ("t,position\n0,0\n\n5,\n", "row 4, column position: expected a number, got ''"),
         ("t,position\n0,0\n5,0,1\n", "row 3: expected 2 cells, got 3"),
         ("time,position\n0,0\n5,1\n", "with commas between, got the columns 'time,position'"),
@@ -308,5 +316,6 @@ def test_a_reference_that_cannot_be_meant_is_refused(tmp_path: Path) -> None:
     ):
         with one_line(message):
             declared(reference=table(tmp_path, text))
+    declared(reference=table(tmp_path, "t,position\n0,0\n0.5,0.8\n100,0.8\n"))
     with pytest.warns(SlowWarning, match=r"goes on to 5000 s, and an episode takes 5 s: is its t in ms\?"):
         declared(reference=table(tmp_path, "t,position\n0,0\n5000,0.1\n"))

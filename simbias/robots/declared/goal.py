@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from simbias.core import Criterion, Quantity, SlowWarning
+from simbias.core import Criterion, Quantity, SlowWarning, wrapped
 from simbias.core.files import sought
 from simbias.core.messages import quote
 from simbias.core.records import Array
@@ -20,7 +20,8 @@ from simbias.simulation.compiler import Expressions
 TIME = "t"  # the name of the time in expressions, and of its column
 MOST_ROWS = 400  # of a file: each is an operation of the compiled loop
 LONG = 100.0  # episodes: a file that goes on for longer may have its time in ms
-JUMP, BRIEF = 0.5, 0.02  # share of its range, in this share of its time: no robot follows that
+BRIEF = 2  # frames: a jump is a change in these by more than a
+JUMP, STEEP = 0.1, 4.0  # share of the range and times as much as in as many before or after
 
 
 class Reference:
@@ -31,7 +32,7 @@ class Reference:
     Raises
     ------
     ValueError
-        If a file or an expression gives no number at a time from 0 to `seconds`, or a file jumps.
+        If a file or an expression gives no number at a time from 0 to `seconds`.
     """
 
     def __init__(
@@ -47,9 +48,11 @@ class Reference:
             self.names = tuple(expressions)
             named = {f"goal.{name}": text for name, text in expressions.items()}
             self._expressions: Expressions | None = Expressions(named, (TIME, *targets), constants)
+            self.end = seconds  # s
         else:
             self._expressions = None
             self.names, self._times, values = _rows(file, seconds)
+            self.end = min(self._times[-1], LONG * seconds)
             slopes = np.diff(values, axis=0) / np.diff(self._times)[:, None]
             self._first, self._changes = values[0], np.diff(slopes, axis=0, prepend=0.0, append=0.0)
         times = np.linspace(0.0, seconds, 1000)
@@ -101,11 +104,6 @@ def _rows(file: str, seconds: float) -> tuple[tuple[str, ...], Array, Array]:
             SlowWarning,
             stacklevel=4,
         )
-    jumps = np.abs(np.diff(values, axis=0)) > JUMP * np.ptp(values, axis=0)
-    jumps &= np.diff(times)[:, None] < BRIEF * np.ptp(times)
-    if jumps.any():
-        row, column = np.argwhere(jumps)[0]
-        raise ValueError(f"reference {quote(file)}: {header[column + 1]} jumps after t = {times[row]:g} s")
     return tuple(header[1:]), times, values
 
 
@@ -132,6 +130,21 @@ def check_within(reference: Reference, criteria: Sequence[Criterion], seconds: f
                     f"goal.{name} is {column[beyond][0]:.3g} at t = {times[beyond][0]:.3g} s, "
                     f"where the task fails: {criterion.name}"
                 )
+
+
+def check_jumps(reference: Reference, goals: Sequence[Quantity], time_step: float) -> None:
+    """Refuse a reference to goals (g) that jumps: no robot follows that."""
+    times = time_step * np.arange(round(reference.end / time_step) + 1)
+    values = np.broadcast_to(reference(times), (len(times), len(goals)))
+    moved = np.abs(wrapped(values[BRIEF:] - values[:-BRIEF], goals))
+    around = np.pad(moved, ((BRIEF, BRIEF), (0, 0)))
+    beside = np.maximum(around[: -2 * BRIEF], around[2 * BRIEF :])
+    jumps = np.argwhere((moved > JUMP * np.ptp(values, axis=0)) & (moved > STEEP * beside))
+    for frame, column in jumps[:1]:
+        size = f"{moved[frame, column]:.3g} {goals[column].unit}".strip()
+        raise ValueError(
+            f"goal.{goals[column].name} jumps after t = {times[frame]:.4g} s: by {size} in {BRIEF} frames"
+        )
 
 
 class Success:

@@ -25,7 +25,7 @@ from simbias.robots.declared.declarations import (
     measure_of,
     push_of,
 )
-from simbias.robots.declared.goal import Reference, Success, check_within, success_names
+from simbias.robots.declared.goal import Reference, Success, check_jumps, check_within, success_names
 from simbias.robots.declared.starts import Starts, State
 from simbias.robots.mujoco.figure import Figure, FigureFile
 from simbias.robots.mujoco.rendering import Image
@@ -195,6 +195,7 @@ class Declared(Task):
         aimed = [known[name] for name in self._reference.names]
         self._aimed, self._goals = [index for index, _ in aimed], tuple(quantity for _, quantity in aimed)
         check_within(self._reference, self.criteria, self.horizon * self.time_step)
+        check_jumps(self._reference, self._goals, self.time_step)
 
     def _set_success(self, success: Mapping[str, Failure], hold: float | None) -> None:
         self._success = None
