@@ -292,6 +292,10 @@ def test_what_cannot_be_meant_is_refused() -> None:
         ),
         ({"pushes": {"torque": PULSES}}, "pushes: no input is called torque; there is force"),
         ({"pushes": {"force": PULSES | {"amplitude": [-1, 1]}}}, r"expected 0 <= least <= most, got \[-1, 1"),
+        (
+            {"pushes": {"force": PULSES | {"seconds": [0.001, 0.1]}}},
+            r"pushes.force.seconds: expected at least half a frame \(0.02 s\), got 0.001",
+        ),
         ({"reference": "none.csv"}, "reference 'none.csv': .*No such file.* neither in .* --config-dir"),
     ]
     for changes, message in cases:

@@ -91,14 +91,18 @@ def measure_of(name: str, failure: Failure) -> str:
     return failure.value if failure.below is None else f"-({failure.value})"
 
 
-def push_of(name: str, pulses: Pulses, inputs: Sequence[str]) -> Push:
-    """Pushes on an input of these."""
+def push_of(name: str, pulses: Pulses, inputs: Sequence[str], time_step: float) -> Push:
+    """Pushes on an input of these, in frames of so many seconds."""
     if name not in inputs:
         raise ValueError(f"pushes: no input is called {name}; there is {', '.join(inputs)}")
     amplitude, seconds = (pulses.amplitude[0], pulses.amplitude[1]), (pulses.seconds[0], pulses.seconds[1])
     for key, (least, most) in (("amplitude", amplitude), ("seconds", seconds)):
         if not 0 <= least <= most:
             raise ValueError(f"pushes.{name}.{key}: expected 0 <= least <= most, got [{least:g}, {most:g}]")
+    if seconds[0] < time_step / 2:
+        raise ValueError(
+            f"pushes.{name}.seconds: expected at least half a frame ({time_step / 2:g} s), got {seconds[0]:g}"
+        )
     return Push(inputs.index(name), pulses.count, amplitude, seconds)
 
 

@@ -114,7 +114,9 @@ class Declared(Task):
         self._set_goal(dict(goal or {}), reference)
         self._set_success(dict(success or {}), hold)
         names = tuple(each.name for each in self.inputs)
-        self.pushes = tuple(push_of(name, each, names) for name, each in dict(pushes or {}).items())
+        self.pushes = tuple(
+            push_of(name, each, names, time_step) for name, each in dict(pushes or {}).items()
+        )
         self._figure = None if figure is None else Figure(self.without_targets, figure)
         self.joints += (self._figure.joints,) if self._figure else ()
         self.source_files = [
