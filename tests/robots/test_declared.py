@@ -279,6 +279,18 @@ def test_what_cannot_be_meant_is_refused() -> None:
         ({"success": STILL}, "success and hold are to be given together"),
         ({"success": STILL, "hold": 6.0}, "hold is 6 s, and an episode 5 s: none can succeed"),
         ({"success": NEVER, "hold": 1.0}, "success.near cannot hold: .* is 0 m, not below -0.1 at the goal"),
+        (
+            {"success": {"late": {"value": "t", "above": 4.5}}, "hold": 1.0},
+            "success.late cannot hold: t is 4, not above 4.5 at the goal",
+        ),
+        (
+            {"success": {"far": {"value": "abs( position )", "above": 2}}, "hold": 1.0},
+            "success.far cannot hold: where it does, the task fails: leaves",
+        ),
+        (
+            {"success": STILL, "hold": 5.0, "starts": [[0.0, 0.2, 0, 0]]},
+            "starts.0: hold is a whole episode, and in its last 5 s still is 0.2, not below 0.1 at its start",
+        ),
         ({"starts": [[0.0]]}, "each has to have 4 numbers"),
         (
             {"starts": [[0.0] * 4], "states": {"position": {"unit": "m", "uniform": [0, 1]}}},

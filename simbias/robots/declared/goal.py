@@ -14,7 +14,7 @@ from simbias.core import Criterion, Quantity, SlowWarning, wrapped
 from simbias.core.files import sought
 from simbias.core.messages import quote
 from simbias.core.records import Array
-from simbias.robots.declared.declarations import Failure, criterion_of
+from simbias.robots.declared.declarations import Failure, criterion_of, measure_of
 from simbias.simulation.compiler import Expressions
 
 TIME = "t"  # the name of the time in expressions, and of its column
@@ -163,16 +163,24 @@ class Success:
         self._frames, self._seconds = frames, seconds
 
     def check_at(self, goal: Array) -> None:
-        """Refuse conditions on errors alone that do not hold where there are none.
+        """Refuse conditions on errors and time alone that do not hold where there are no errors.
 
-        The row (.) has errors of zero; states and time, which may be others at the goal, are nan.
+        The rows (k, .) have the times of the last frames and errors of zero; states, which may be others at
+        the goal, are nan.
         """
-        for (name, each), value, limit in zip(
-            self._conditions.items(), self._measures(goal), self._limits, strict=True
-        ):
+        least = self._measures(goal).min(axis=0)
+        for (name, each), value, limit in zip(self._conditions.items(), least, self._limits, strict=True):
             if value <= limit:
                 there = f"{each.value} is {_beside_bound(each, value, limit)} at the goal"
                 raise ValueError(f"success.{name} cannot hold: {there}")
+
+    def check_beside(self, failures: Mapping[str, Failure]) -> None:
+        """Refuse conditions that hold only where the task fails, by the same expression."""
+        for name, each in self._conditions.items():
+            for other, failure in failures.items():
+                same = measure_of(name, each).replace(" ", "") == measure_of(other, failure).replace(" ", "")
+                if same and criterion_of(name, each, ()).limit >= criterion_of(other, failure, ()).limit:
+                    raise ValueError(f"success.{name} cannot hold: where it does, the task fails: {other}")
 
     def holds(self, states: Array, times: Array, errors: Array) -> bool:
         """Whether an episode of states (T+1, .) at times (T+1,), with errors (T+1, g), succeeds."""

@@ -112,7 +112,7 @@ class Declared(Task):
         self._set_outputs(dict(outputs or {}))
         self._set_failures(dict(failure or {}))
         self._set_goal(dict(goal or {}), reference)
-        self._set_success(dict(success or {}), hold)
+        self._set_success(dict(success or {}), hold, dict(failure or {}))
         names = tuple(each.name for each in self.inputs)
         self.pushes = tuple(
             push_of(name, each, names, time_step) for name, each in dict(pushes or {}).items()
@@ -199,7 +199,9 @@ class Declared(Task):
         check_within(self._reference, self.criteria, self.horizon * self.time_step)
         check_jumps(self._reference, self._goals, self.time_step)
 
-    def _set_success(self, success: Mapping[str, Failure], hold: float | None) -> None:
+    def _set_success(
+        self, success: Mapping[str, Failure], hold: float | None, failure: Mapping[str, Failure]
+    ) -> None:
         self._success = None
         if bool(success) != (hold is not None):
             raise ValueError("success and hold are to be given together")
@@ -211,9 +213,17 @@ class Declared(Task):
             )
         names = success_names(self._known["variables"], self._goals)
         measures = self._measures("success", success, names)
-        self._success = Success(success, measures, self.frames(hold) + 1, hold)
-        errors = np.zeros(len(self._goals))
-        self._success.check_at(np.append(np.full(len(names) - len(errors), np.nan), errors))
+        times = self.time_step * np.arange(self.horizon + 1)[-self.frames(hold) - 1 :]
+        self._success = Success(success, measures, len(times), hold)
+        errors = np.zeros((len(times), len(self._goals)))
+        states = np.full((len(times), len(self._known["variables"])), np.nan)
+        self._success.check_at(np.column_stack([states, times, errors]))
+        self._success.check_beside(failure)
+        for key, start in self._starts.means.items() if len(times) > self.horizon else ():
+            if not self.succeeds(start[None]):
+                raise ValueError(
+                    f"{key}: hold is a whole episode, and {self.missed(start[None])} at its start"
+                )
 
     def _measures(self, key: str, conditions: Mapping[str, Failure], names: Sequence[str]) -> Expressions:
         """Measures that are above the limits of conditions where these hold."""
