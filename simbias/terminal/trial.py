@@ -148,12 +148,13 @@ class TrialConsole(Observer):
         self._model = model
 
     def _remark(self, remarks: Iterable[Remark], again: bool = False) -> None:
-        """Lines between those of the iterations, one of each kind; or others in brief."""
+        """Lines between those of the iterations, with its number; one of each kind, or others in brief."""
+        number = f"{len(self._iterations):>3}"
         for remark in remarks:
             if remark.kind not in self._said:
-                say(self._console, f"     {brief(remark.words)}", "yellow")
+                say(self._console, f"{number}  {brief(remark.words)}", "yellow")
             elif again:
-                say(self._console, f"     again: {remark.kind}", "yellow")
+                say(self._console, f"{number}  again: {remark.kind}", "yellow")
             self._said.add(remark.kind)
 
     def experimenting(self, theta: Array, start: Array) -> None:
