@@ -114,6 +114,8 @@ def test_a_policy_that_does_not_swing_up_is_told_why(monkeypatch: pytest.MonkeyP
         "does not reach the goal in 5 s of simulation: in its last 1 s upright is 3.14 rad, not below 0.2"
     )
     assert f"{missed}, its inputs at their limits in 0% of" in remark.words
+    *_, remark = of_prediction(study.policy.bounds[1], study.first_model(), study)
+    assert "below which its regulator acts, is at its upper bound" in remark.words
     rollout = study.simulate(np.zeros(study.policy.n_parameters))
     assert of_experiments((rollout,), study) == [  # on hardware it is told likewise
         "1 of 1 experiment missed the goal: in its last 1 s upright is 3.14 rad, not below 0.2"
