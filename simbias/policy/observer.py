@@ -101,7 +101,9 @@ class RateFilter(Observer):
 
 
 class RatesOfPositions(Observer):
-    """r <- r + alpha (dq / dt - r): differences of positions, filtered; measured rates are not used.
+    """r <- r + alpha (dq / dt - r): differences of positions, filtered.
+
+    Of measured rates, those of the first frame alone are used: a robot that measures none sends zeros.
 
     ValueError if a task has not a rate for each other state, in its unit per second.
     """
