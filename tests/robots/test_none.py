@@ -60,7 +60,7 @@ def test_positions_without_rates_of_their_own_are_refused(study: Study) -> None:
 def test_a_first_search_without_a_model_says_that_no_policy_changes_the_cost() -> None:
     """It ends with its first generation; the policy is a random one, another for another seed."""
     one_stage = ["evaluation=fresh_randomization", "optimizer.explorations=4", "optimizer.population=4"]
-    study = simbias.load([*SCRATCH, "task.horizon=50", *one_stage])
+    study = simbias.load([*SCRATCH, "task.horizon=60", *one_stage])
     model = study.first_model()
     found, other = (search(study, model, np.random.default_rng(i), Observer()).optimum for i in (0, 1))
     assert found.stopped_by.startswith("costs that no policy changes")
