@@ -40,7 +40,7 @@ class GaussianProcess(Bias):
         number for both.
     fourier_features
         Random frequencies, each with its sine and cosine, by which draws from the posterior vary where there
-        are no data (`Posterior.draw`); 0: there they are zero.
+        are no data (`GPPosterior.draw`); 0: there they are zero.
     linear
         Prior standard deviation of the coefficients of a linear function that is added to each process: of
         scaled inputs, and of residuals over their root mean square. It holds far from the data, too, and is

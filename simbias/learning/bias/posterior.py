@@ -23,7 +23,7 @@ MOST_COMPARED = 2000  # samples up to which a sparse posterior is compared with 
 
 @final
 @dataclass(eq=False)
-class Posterior(FittedBias):
+class GPPosterior(FittedBias):
     """A posterior for each state; all share inputs and hyper-parameters, so also one factorisation.
 
     With k the covariance of a new input and the N points, the means are k^T W (Eq. 4), and the variance is
@@ -214,7 +214,7 @@ def _compiled(
     return Kernel(correct, data)
 
 
-def exact(hyper: Hyperparameters, transitions: Transitions, features: int = 0) -> Posterior:
+def exact(hyper: Hyperparameters, transitions: Transitions, features: int = 0) -> GPPosterior:
     """The posterior given all data: U = L^-1, W = K^-1 y, K = L L^T.
 
     Without Fourier features, its draws vary at inducing points, up to 200 of the data.
@@ -241,10 +241,12 @@ def exact(hyper: Hyperparameters, transitions: Transitions, features: int = 0) -
         seen = view(hyper, points, chosen)
         R, of_drawn = np.zeros((2, len(chosen), len(points)))
         R[:, chosen], of_drawn[:, chosen] = seen.R, seen.L_inverse
-    return Posterior(hyper, scale, points, L_inverse, W, R, of_drawn, trend, features)
+    return GPPosterior(hyper, scale, points, L_inverse, W, R, of_drawn, trend, features)
 
 
-def sparse(hyper: Hyperparameters, transitions: Transitions, inducing: Inducing, features: int) -> Posterior:
+def sparse(
+    hyper: Hyperparameters, transitions: Transitions, inducing: Inducing, features: int
+) -> GPPosterior:
     """The posterior of Titsias (AISTATS 2009, Eq. 6): all data, seen through the inducing points Z.
 
     With S = (K_ZZ + K_ZX K_XZ / sigma^2)^-1, W = S K_ZX y / sigma^2 and U^T U = K_ZZ^-1 - S, for which Z is
@@ -268,14 +270,14 @@ def sparse(hyper: Hyperparameters, transitions: Transitions, inducing: Inducing,
     U = stable_cholesky(C[::-1, ::-1]).T[::-1, ::-1]  # lower, with U^T U = C
     scale = output_scale(transitions.residuals)
     counts = {"inducing_points": len(chosen), "inducing_points_of_variance": for_variance}
-    posterior = Posterior(hyper, scale, seen.Z, U, W, seen.R, seen.L_inverse, trend, features, counts)
+    posterior = GPPosterior(hyper, scale, seen.Z, U, W, seen.R, seen.L_inverse, trend, features, counts)
     if 0 < len(transitions) <= MOST_COMPARED:
         errors = _errors(posterior, exact(hyper, transitions), transitions)
         posterior.diagnostics = {**posterior.diagnostics, **errors}
     return posterior
 
 
-def _errors(approximate: Posterior, reference: Posterior, transitions: Transitions) -> dict[str, float]:
+def _errors(approximate: GPPosterior, reference: GPPosterior, transitions: Transitions) -> dict[str, float]:
     """Greatest differences of two posteriors at up to 200 of the training inputs."""
     inputs = transitions.inputs[:: max(1, len(transitions) // 200)]
     mean, exact_mean = (p.predict(inputs)[0] for p in (approximate, reference))

@@ -14,7 +14,7 @@ from simbias.core.ranges import Count, NonNegative, Positive, Seconds
 from simbias.core.records import Array, Indices, Rollout, Transitions
 from simbias.learning.bias.inducing import Inducing, choose
 from simbias.learning.bias.none import ZeroBias
-from simbias.learning.bias.posterior import GPSample, Posterior
+from simbias.learning.bias.posterior import GPPosterior, GPSample
 from simbias.learning.bias.sensitivity import sensitivities
 from simbias.learning.bias.trend import Trend
 from simbias.learning.covariance import Hyperparameters, stable_cholesky
@@ -210,7 +210,7 @@ class WindowPosterior(FittedBias):
         R = len(self._Z)
         return [self._covariance[i : i + R, i : i + R] for i in range(0, len(self._mean), R)]
 
-    def _weighted(self) -> Posterior:
+    def _weighted(self) -> GPPosterior:
         """The mean with its weight in Eq. 7: |sigma_t|^2 sums variances over those of the prior."""
         shares = [block / s**2 for block, s in zip(self._blocks(), self._signal, strict=True)]
         values, vectors = np.linalg.eigh(np.eye(len(self._Z)) - np.mean(shares, axis=0))
@@ -218,7 +218,7 @@ class WindowPosterior(FittedBias):
         U = np.flip(np.linalg.qr(np.flip(A, axis=1))[1])  # lower, with U^T U = A^T A
         W = self._at_points(self._mean)
         none = np.empty((0, len(W)))  # it is not drawn from
-        return Posterior(self._hyper, self._signal, self._Z, U, W, none, none, Trend.none(*W.shape))
+        return GPPosterior(self._hyper, self._signal, self._Z, U, W, none, none, Trend.none(*W.shape))
 
     def predict(self, inputs: Array) -> tuple[Array, Array]:
         """Mean (k, n) and variance (k, n) of the bias at raw inputs (k, n+m)."""

@@ -12,7 +12,7 @@ import numpy as np
 from simbias.core.objective import Mapped
 from simbias.core.ranges import Count, Scale
 from simbias.core.records import Array, Iteration, Search, Transitions
-from simbias.learning.bias.posterior import Posterior, exact
+from simbias.learning.bias.posterior import GPPosterior, exact
 from simbias.learning.covariance import Hyperparameters
 from simbias.search.lqr import lqr_candidates
 from simbias.trial.method import Method
@@ -79,7 +79,7 @@ class CostResidual(Method):
             tried, residuals = np.vstack([tried, theta]), np.vstack([residuals, [added]])
 
 
-def _corrected(residual: Posterior, thetas: Array, costs: Array) -> Array:
+def _corrected(residual: GPPosterior, thetas: Array, costs: Array) -> Array:
     """Costs (k,) of policies (k, p), as by the residual: one deviation below its mean."""
     mean, variance = residual.predict(thetas)
     return costs * np.exp(mean[:, 0] - np.sqrt(variance[:, 0]))
