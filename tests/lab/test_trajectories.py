@@ -13,7 +13,7 @@ from point_mass import PointMass
 from simbias.core import HardwareError, Quantity
 from simbias.core.records import Array, Rollout
 from simbias.lab.requests.trajectory import (
-    Recording,
+    Measurements,
     frame,
     header,
     read,
@@ -291,7 +291,7 @@ def test_resampling_keeps_the_integral_of_inputs_and_lines_of_states(steps: list
         times = np.concatenate([times, np.arange(times[-1] + 0.02, 0.42, 0.02)])
     states, _ = motion(times)
     inputs = np.random.default_rng(seed).uniform(-5, 5, (len(times), 1))
-    rollout = frame(Recording(times, states, inputs), REQUEST, "here")
+    rollout = frame(Measurements(times, states, inputs), REQUEST, "here")
     np.testing.assert_allclose(rollout.states, motion(TIMES)[0], atol=0.26 * TASK.time_step)
     end = TASK.horizon * TASK.time_step
     held = np.diff(np.clip(times, 0, end))
@@ -316,17 +316,17 @@ def test_angles_that_wrap_are_unwound_before_lines_are_drawn_between_rows() -> N
     times = 0.006 * np.arange(68)
     turned = np.column_stack([3.2 + 7.3 * times, np.full(68, 7.3)])
     read_off = np.column_stack([np.angle(np.exp(1j * turned[:, 0])), turned[:, 1]])
-    rollout = frame(Recording(times, read_off, np.zeros((68, 1))), request, "here")
+    rollout = frame(Measurements(times, read_off, np.zeros((68, 1))), request, "here")
     np.testing.assert_allclose(rollout.states[:, 0], 3.2 + 7.3 * TIMES, atol=1e-12)
     partly = [np.vstack([each[:1], np.degrees(each[1:])]) for each in (turned, read_off)]
     for degrees in (np.degrees(turned), *partly):
         with pytest.raises(HardwareError, match="are these degrees"):
-            frame(Recording(times, degrees, np.zeros((68, 1))), request, "here")
+            frame(Measurements(times, degrees, np.zeros((68, 1))), request, "here")
 
 
 def test_the_last_input_is_a_mean_where_rows_end_a_little_early() -> None:
     times = 0.004 * np.arange(100)
-    rollout = frame(Recording(times, motion(times)[0], np.full((100, 1), 3.0)), REQUEST, "here")
+    rollout = frame(Measurements(times, motion(times)[0], np.full((100, 1), 3.0)), REQUEST, "here")
     np.testing.assert_allclose(rollout.inputs, np.full((20, 1), 3.0))
 
 

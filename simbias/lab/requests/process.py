@@ -17,7 +17,7 @@ from simbias.core.ranges import Seconds
 from simbias.core.records import Array, Rollout
 from simbias.lab.requests.program import END_SECONDS, MOST_OUTPUT, Program, alone, note
 from simbias.lab.requests.request import ExperimentRequest
-from simbias.lab.requests.trajectory import Recording, frame
+from simbias.lab.requests.trajectory import Measurements, frame
 
 SAID = 200  # characters of a program's standard error in an error
 FIELDS = ("states", "inputs", "times", "failure")
@@ -138,7 +138,7 @@ class Process(Hardware):
         failure = answer.get("failure")
         if failure is not None and not isinstance(failure, str):
             raise HardwareError(f"failure: expected a name or null, got {quote(failure)}")
-        return frame(Recording(times, states, inputs, failure or None), request, "the answer")
+        return frame(Measurements(times, states, inputs, failure or None), request, "the answer")
 
 
 def _rows(given: Any, name: str, columns: int) -> Array:

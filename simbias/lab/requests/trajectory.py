@@ -37,7 +37,7 @@ NOISE = 1e-3  # rad or rad/s, below which a ratio says nothing
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class Measurements:
     """Measured states and commanded inputs, a row for each time."""
 
     times: Array  # (r,) s
@@ -71,10 +71,10 @@ def read(path: Path, request: ExperimentRequest) -> Rollout:
     columns = _columns(table, request.task)
     n = len(request.task.states)
     numbers = table.numbers(columns, may_be_blank=columns[1 + n :])  # nothing acts after the last frame
-    recording = Recording(
+    measurements = Measurements(
         numbers[:, 0], numbers[:, 1 : 1 + n], numbers[:, 1 + n :], _failure(table), table.rows
     )
-    return frame(recording, request, str(path))
+    return frame(measurements, request, str(path))
 
 
 def _columns(table: Table, task: Task) -> list[int]:
@@ -114,8 +114,8 @@ def _failure(table: Table) -> str | None:
     return named or None
 
 
-def frame(recording: Recording, request: ExperimentRequest, source: str) -> Rollout:
-    """A recording at the task's frames, up to its first failure.
+def frame(measured: Measurements, request: ExperimentRequest, source: str) -> Rollout:
+    """Measurements at the task's frames, up to its first failure.
 
     Rows that are more frequent are resampled: states between rows lie on straight lines, an input is the
     mean of those that acted during the frame. Rows that are rarer, and gaps, are refused. Angles that wrap
@@ -127,24 +127,24 @@ def frame(recording: Recording, request: ExperimentRequest, source: str) -> Roll
         In one line that begins with the source and names row and column.
     """
     task = request.task
-    rows = recording.rows or tuple(range(1, len(recording.times) + 1))
-    times = recording.times - recording.times[0]
-    _check_start(recording.states, rows, request, source)
+    rows = measured.rows or tuple(range(1, len(measured.times) + 1))
+    times = measured.times - measured.times[0]
+    _check_start(measured.states, rows, request, source)
     _check_times(times, rows, task, source)
-    _check_inputs(recording.inputs[:-1], rows, request, source)  # nothing acts after the last frame
-    measured = _unwound(recording.states, request)
+    _check_inputs(measured.inputs[:-1], rows, request, source)  # nothing acts after the last frame
+    unwound = _unwound(measured.states, request)
     frames = np.arange(math.floor(times[-1] / task.time_step + JITTER) + 1)[: task.horizon + 1]
     wanted = frames * task.time_step
     if len(times) >= len(frames) and np.all(np.abs(times[: len(frames)] - wanted) <= JITTER * task.time_step):
-        states, inputs = measured[: len(frames)], recording.inputs[: len(frames) - 1]
+        states, inputs = unwound[: len(frames)], measured.inputs[: len(frames) - 1]
     else:
-        states = np.stack([np.interp(wanted, times, column) for column in measured.T], axis=1)
-        inputs = _means(times, recording.inputs, wanted)
+        states = np.stack([np.interp(wanted, times, column) for column in unwound.T], axis=1)
+        inputs = _means(times, measured.inputs, wanted)
     check_rates(source, [Rollout(states, inputs)], task, rates_of(task))
     _tell_what_stands_still(states, task, source)
     tell_other_commands(states, inputs, request, source)
     within = times[-1] <= (task.horizon + JITTER) * task.time_step  # what fails later has lasted
-    failure = recording.failure if within else None
+    failure = measured.failure if within else None
     return _ended(states, inputs, failure, request, f"{source}: row {rows[-1]}")
 
 
