@@ -230,6 +230,8 @@ def test_a_file_is_read_as_it_was_written_or_refused(
     asked = np.array(start)
     steps = np.concatenate([np.zeros((1, 2)), 5e-5 * rng.standard_normal((POLE.horizon, 2))])
     states = asked + np.cumsum(steps, axis=0)
+    line = np.corrcoef(np.arange(len(states)), states[:, 0])[0, 1]
+    assume(abs(line) < 0.6)  # else the angle looks like an integral of its rate, in another unit
     inputs = rng.uniform(-5, 5, (POLE.horizon + 1, 1))
     sent = states.copy()
     if damage.startswith("degrees"):
