@@ -12,7 +12,7 @@ import numpy as np
 from simbias.core import Nominal, Task
 from simbias.core.records import Array, Indices, Rollout
 from simbias.lab.rates import rates_of
-from simbias.recordings.horizons import over_recorded
+from simbias.recordings.horizons import horizons, over_recorded
 
 MISTAKEN = 0.9  # times the errors, below which a change seems to be right
 
@@ -53,31 +53,42 @@ def mistakes(
     Where that lacks a spring, it errs less with the wrong sign of an input below resonance, and the
     identified one does not. A change that is found stays: a sign is wrong beside those of the others.
     """
-    rollouts, left, found = [each for pieces in recordings.values() for each in pieces], changes(task), []
+    left, found = changes(task), []
+    of_each = {
+        name: over_recorded(task, models[0], pieces)
+        for name, pieces in recordings.items()
+        if horizons(task, max(each.frames for each in pieces))
+    }
+    rollouts = [each for pieces in recordings.values() for each in pieces]
     errors = [over_recorded(task, model, rollouts) for model in models]
-    of_each = {name: over_recorded(task, models[0], pieces) for name, pieces in recordings.items()}
-    last = np.ones(len(models))
+    last, last_of_each = np.ones(len(models)), dict.fromkeys(of_each, 1.0)
     while left:
         tried = [np.array([errs(each.of(rollouts)) for errs in errors]) for each in left]
         best = int(np.argmin([round(each.max(), 3) for each in tried]))  # of a mirrored robot, the input's
         if tried[best].max() >= MISTAKEN * last.max():
             break
         change = left.pop(best)
-        wrong = [name for name, errs in of_each.items() if errs(change.of(recordings[name])) < MISTAKEN]
-        some = wrong if len(wrong) < len(recordings) else []
-        found.append(Mistake(change.words, float(tried[best][0] / last[0]), some))
-        rollouts, last = change.of(rollouts), tried[best]
+        recordings = {name: change.of(pieces) for name, pieces in recordings.items()}
+        now = {name: errs(recordings[name]) for name, errs in of_each.items()}
+        right = [name for name in now if now[name] >= MISTAKEN * last_of_each[name]]
+        wrong = [name for name in now if name not in right] if right else []
+        found.append(Mistake(change.words, float(tried[best][0] / last[0]), wrong))
+        rollouts, last, last_of_each = change.of(rollouts), tried[best], now
     return found
 
 
 def changes(task: Task) -> list[Change]:
-    """The sign of each input, then of each joint with its velocity; two inputs or joints that are swapped."""
+    """The sign of each input, of each joint with its velocity, of all inputs; two that are swapped.
+
+    With all signs reversed, two inputs that are swapped may err less than with one sign put right.
+    """
     names = [each.name for each in (*task.states, *task.inputs)]
     inputs = [[place] for place in range(len(task.states), len(names))]
     joints = [[place, rate] for rate, place in rates_of(task).items()]
     as_recorded, same = np.arange(len(names)), np.ones(len(names))
     made = []
-    for places in (*inputs, *joints):
+    every = [[place for each in inputs for place in each]] if len(inputs) > 1 else []
+    for places in (*inputs, *joints, *every):
         signs = same.copy()
         signs[places] = -1.0
         words = f"the sign of {' and '.join(names[place] for place in places)} reversed"

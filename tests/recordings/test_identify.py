@@ -153,9 +153,17 @@ def test_signs_and_columns_that_are_mistaken_are_named(
     assert [each.words for each in changes(task)] == [
         *(f"the sign of {name} reversed" for name in names[4:]),
         *(f"the sign of {' and '.join(names[i:4:2])} reversed" for i in (0, 1)),
+        f"the sign of {names[4]} and {names[5]} reversed",
         f"{names[4]} and {names[5]} swapped",
         f"{names[0]} and {names[1]}, {names[2]} and {names[3]} swapped",
     ]
+    torque, *_, joint = changes(task)[:4]
+    brief = [replace(each, states=each.states[:4], inputs=each.inputs[:3]) for each in first]
+    both_wrong = {str(i): torque.of(joint.of(each)) for i, each in enumerate((first, *others, brief))}
+    told = mistakes(task, both[:1], both_wrong)
+    assert [(each.words, each.recordings) for each in told] == [(joint.words, []), (torque.words, [])]
+    some = {"right": first, "brief": brief, "a": torque.of(first), "b": torque.of(others[0])}
+    assert [each.recordings for each in mistakes(task, both[:1], some)] == [["a", "b"]]
     assert verdict(replace(assessment, mistakes=[Mistake(words, times, ["b.csv"])])).endswith(
         f" With {words} (in b.csv alone), the nominal model errs {times:.2f} times as much: "
         "check the recorded sign and column."
