@@ -58,7 +58,8 @@ def jumps(times: Array, values: Array, rates: Array) -> Indices:
     steps, moved = np.diff(times), np.diff(values)
     excess = np.abs(moved - steps * (rates[1:] + rates[:-1]) / 2)
     usual = np.quantile(excess[moved != 0], RARELY) if moved.any() else np.inf  # an encoder's step, if slow
-    return np.flatnonzero(excess > np.maximum(JUMP * np.abs(rates).max() * steps, FAR * usual)) + 1
+    due = np.maximum(steps, np.median(steps))  # a sample may be late, and the next one in time
+    return np.flatnonzero(excess > np.maximum(JUMP * np.abs(rates).max() * due, FAR * usual)) + 1
 
 
 def late_rates(pieces: Sequence[Rollout], task: Task, rates: Mapping[int, int]) -> list[str]:

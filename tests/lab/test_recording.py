@@ -155,7 +155,7 @@ def test_gaps_and_resets_cut_it(
 def test_rows_that_are_lost_or_doubled_under_a_clock_that_goes_on_cut_it(
     read: Read, table: pd.DataFrame
 ) -> None:
-    """An encoder that turns slowly, and steps now and then, does not."""
+    """An encoder that turns slowly, and steps now and then, does not, nor does a sample that is late."""
     for kept in (np.r_[:300, 350 : len(table)], np.r_[:300, 200 : len(table)]):
         rows = table.iloc[kept].assign(time=0.002 * np.arange(len(kept)))
         found = read(rows)
@@ -163,6 +163,8 @@ def test_rows_that_are_lost_or_doubled_under_a_clock_that_goes_on_cut_it(
         assert found.notes[0].endswith(
             "a jump at 0.6 s, beyond what velocities say: are rows lost or doubled?"
         )
+    late = table.assign(time=table["time"].where(table.index != 300, 0.6019))
+    assert len(read(late).pieces) == 1
     table["pos1"], table["vel1"] = 0.01 * np.floor(5 * table["time"]), 0.05
     assert len(read(table).pieces) == 1
 
