@@ -333,5 +333,11 @@ def test_a_reference_that_cannot_be_meant_is_refused(tmp_path: Path) -> None:
         with one_line(message):
             declared(reference=table(tmp_path, text))
     declared(reference=table(tmp_path, "t,position\n0,0\n0.5,0.8\n100,0.8\n"))
+    for smooth in (
+        "0.5 * sin(20 * t)",
+        "0.5 * exp(-t) * sin(20 * t)",
+        "exp(sin(pi * t)) - exp(sin(pi * (t + 2)))",
+    ):
+        declared(goal={"position": smooth})
     with pytest.warns(SlowWarning, match=r"goes on to 5000 s, and an episode takes 5 s: is its t in ms\?"):
         declared(reference=table(tmp_path, "t,position\n0,0\n5000,0.1\n"))

@@ -22,6 +22,7 @@ MOST_ROWS = 400  # of a file: each is an operation of the compiled loop
 LONG = 100.0  # episodes: a file that goes on for longer may have its time in ms
 BRIEF = 2  # frames: a jump is a change in these by more than a
 JUMP, STEEP = 0.1, 4.0  # share of the range and times as much as in as many before or after
+ROUNDING = 1e-9  # what is smaller is none
 
 
 class Reference:
@@ -136,10 +137,13 @@ def check_jumps(reference: Reference, goals: Sequence[Quantity], time_step: floa
     """Refuse a reference to goals (g) that jumps: no robot follows that."""
     times = time_step * np.arange(round(reference.end / time_step) + 1)
     values = np.broadcast_to(reference(times), (len(times), len(goals)))
+    steps = np.abs(wrapped(np.diff(values, axis=0), goals))
     moved = np.abs(wrapped(values[BRIEF:] - values[:-BRIEF], goals))
-    around = np.pad(moved, ((BRIEF, BRIEF), (0, 0)))
+    path = steps[1:] + steps[:-1]  # in BRIEF frames, to and fro: around its extremes, a fast sine moves, too
+    around = np.pad(path, ((BRIEF, BRIEF), (0, 0)))
     beside = np.maximum(around[: -2 * BRIEF], around[2 * BRIEF :])
-    jumps = np.argwhere((moved > JUMP * np.ptp(values, axis=0)) & (moved > STEEP * beside))
+    least = np.maximum(JUMP * np.ptp(values, axis=0), ROUNDING)
+    jumps = np.argwhere((moved > least) & (moved > STEEP * beside))
     for frame, column in jumps[:1]:
         size = f"{moved[frame, column]:.3g} {goals[column].unit}".strip()
         raise ValueError(
