@@ -30,6 +30,7 @@ TWICE = 2.0  # how much inputs may exceed their limit
 SAME = 0.01  # of the samples: fewer that have the time of the one before are not told
 MOSTLY = 0.99  # of the frames: peaks of a sensor's noise exceed more
 TOLERANCE = 1.05  # times an input's limit, up to which nothing is said
+MOST_TOLD = 8  # jumps, and pieces, in a line
 NEAR = 0.01  # of a frame from its start: a sample that is nearer belongs to it
 
 
@@ -160,7 +161,8 @@ class Reader:
                 problem = "its columns have no frame in common"
             raise HardwareError(f"{path}: {problem}")
         if len(pieces) > 1:
-            seconds = ", ".join(f"{b - a:.2f} s" for a, b in pieces)
+            seconds = ", ".join(f"{b - a:.2f} s" for a, b in pieces[:MOST_TOLD])
+            seconds += ", ..." * (len(pieces) > MOST_TOLD)
             notes.append(f"gaps, resets or jumps leave {len(pieces)} pieces: {seconds}")
         notes += self._left_out(found, runs_of, pieces[0][0], pieces[-1][1])
         return pieces
@@ -202,7 +204,8 @@ class Reader:
         at = sorted({float(found[i].times[j]) for i, samples in each.items() for j in samples})
         if at:
             names = ", ".join(self._quantities[i].name for i, samples in each.items() if len(samples))
-            when = ", ".join(f"{time:.6g} s" for time in at)
+            when = ", ".join(f"{time:.6g} s" for time in at[:MOST_TOLD])
+            when += f" and {len(at) - MOST_TOLD} other times" * (len(at) > MOST_TOLD)
             notes.append(f"{names}: a jump at {when}, beyond what velocities say: are rows lost or doubled?")
         return each
 

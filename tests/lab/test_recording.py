@@ -163,6 +163,8 @@ def test_rows_that_are_lost_or_doubled_under_a_clock_that_goes_on_cut_it(
         assert found.notes[0].endswith(
             "a jump at 0.6 s, beyond what velocities say: are rows lost or doubled?"
         )
+    glitches = table.assign(pos1=table["pos1"] + (table.index % 100 == 50))
+    assert "0.7 s, 0.702 s and 12 other times, beyond what" in read(glitches).notes[0]
     late = table.assign(time=table["time"].where(table.index != 300, 0.6019))
     assert len(read(late).pieces) == 1
     table["pos1"], table["vel1"] = 0.01 * np.floor(5 * table["time"]), 0.05
