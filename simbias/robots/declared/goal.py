@@ -147,7 +147,8 @@ def check_jumps(reference: Reference, goals: Sequence[Quantity], time_step: floa
     for frame, column in jumps[:1]:
         size = f"{moved[frame, column]:.3g} {goals[column].unit}".strip()
         raise ValueError(
-            f"goal.{goals[column].name} jumps after t = {times[frame]:.4g} s: by {size} in {BRIEF} frames; a ramp can be followed"
+            f"goal.{goals[column].name} jumps after t = {times[frame]:.4g} s: by {size} in {BRIEF} frames; "
+            "a ramp can be followed"
         )
 
 
