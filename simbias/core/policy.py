@@ -57,6 +57,10 @@ class Policy(ABC):
         """Quantities (..., i) at states x (..., n) that the policy integrates over time; none by default."""
         return x[..., :0]
 
+    def oddity(self, theta: Array) -> tuple[str, str] | None:
+        """An oddity of the policy theta (p,), in few words and in a sentence; None if there is none."""
+        return None
+
     def law(self, theta: Array) -> Law:
         """The policy theta (p,) for people and programs without simbias, as far as it can be said."""
         return Law(f"u = {type(self).__name__}.act(theta, x, t, policy_state)", {"theta": theta})

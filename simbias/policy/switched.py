@@ -80,10 +80,15 @@ class Switched(Policy):
         other._K, other._S, other._holding = _regulator(self._task, model, self._input_weight)
         return other
 
-    def level_at_bound(self, theta: Array) -> str:
-        """The bound of the level, "lower" or "upper", that the policy theta (p,) is at; "" if at none."""
-        near = np.abs(np.subtract(LEVELS, theta[-1])) < 0.01 * np.ptp(LEVELS)
-        return next((side for side, at in zip(("lower", "upper"), near, strict=True) if at), "")
+    def oddity(self, theta: Array) -> tuple[str, str] | None:
+        """Whether the level of the policy theta (p,) is at its bound."""
+        for side, bound in zip(("lower", "upper"), LEVELS, strict=True):
+            if abs(bound - theta[-1]) < 0.01 * np.ptp(LEVELS):
+                return "the level of a switched policy is at its bound", (
+                    f"this policy's level, below which its regulator acts, is at its {side} bound: that says "
+                    "little about where the regulator holds"
+                )
+        return None
 
     def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
         """Inputs u (..., m) at states x (..., n); the observer's state, and 1 where the regulator is on."""

@@ -17,7 +17,6 @@ from simbias.core.records import Array, Iteration, Rollout, Search, Selection
 from simbias.lab.safety import exceeded
 from simbias.learning.identification.directions import undetermined
 from simbias.learning.identification.identified import Identified
-from simbias.policy.switched import Switched
 from simbias.simulation.closed_loop import simulator
 from simbias.trial.study import Study
 
@@ -162,12 +161,8 @@ def of_prediction(theta: Array, model: Model | None, study: Study) -> Iterator[R
     else:
         yield from of_starts(theta, model, study.cost)
     yield from of_model(theta, model, study.cost)
-    if isinstance(model.policy, Switched) and (side := model.policy.level_at_bound(theta)):
-        yield Remark(
-            "the level of a switched policy is at its bound",
-            f"this policy's level, below which its regulator acts, is at its {side} bound: that says little "
-            "about where the regulator holds",
-        )
+    if (oddity := model.policy.oddity(theta)) is not None:
+        yield Remark(*oddity)
     error = model.bias.diagnostics.get("mean_error", 0.0)
     if error > ROUGH:
         yield Remark(
