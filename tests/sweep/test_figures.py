@@ -81,8 +81,8 @@ def test_comparisons_numbers_are_those_of_the_trials() -> None:
     lasts = "the last policy lasts for the task's horizon without a failure, long ones to their end"
     assert lasts in picture.caption
     assert picture.caption.endswith(
-        " Policies hold most often with ideal 3 of 3 (44% to 100%), by Wilson intervals (over cells; of one, "
-        "over its policies)."
+        " Policies hold most often with ideal 3 of 3 (44% to 100%); Wilson intervals are over cells, or the "
+        "policies of one."
     )
     picture_of_two = Comparison("method").draw(made_up({"ideal": [half, all_of_16, all_of_16]}), ())
     (curve,) = picture_of_two.figure.axes[-1].lines
@@ -94,13 +94,15 @@ def test_comparisons_numbers_are_those_of_the_trials() -> None:
     none = Comparison("method").draw(made_up({"LQI": [fallen] * 3}), ())
     assert none.caption.endswith(" No trial ends with a policy that holds.")
     tie = Comparison("method").draw(made_up({"LQI": [all_of_16, "-", "-"], "ideal": [all_of_16] * 3}), ())
-    assert "hold equally often with LQI 1 of 1 (21% to 100%), ideal 3 of 3 (44% to 100%), by" in tie.caption
+    assert (
+        "hold equally often with LQI 1 of 1 (21% to 100%), ideal 3 of 3 (44% to 100%); Wilson" in tie.caption
+    )
     raised = Comparison("method").draw(made_up({"LQI": [all_of_16, "", ""], "ideal": [all_of_16] * 3}), ())
-    assert "hold most often with ideal 3 of 3 (44% to 100%), by" in raised.caption  # of LQI 1 of 1
+    assert "hold most often with ideal 3 of 3 (44% to 100%); Wilson" in raised.caption  # of LQI 1 of 1
     labels = [text.get_text() for text in raised.figure.axes[0].get_yticklabels()]
     assert labels == ["LQI, 2 raised", "ideal"]
     only = Comparison("method").draw(made_up({"LQI": [all_of_16, "", ""]}), ())
-    assert "with LQI 1 of 1 (21% to 100%, 2 raised), by" in only.caption
+    assert "with LQI 1 of 1 (21% to 100%, 2 raised); Wilson" in only.caption
     crashed = Comparison("method", ["LQR"]).draw(made_up({"LQR": [""] * 3, "ideal": [half] * 3}), ())
     assert crashed.numbers["method"].tolist() == ["ideal"]
     assert crashed.caption.endswith(" All trials of LQR are left out.")

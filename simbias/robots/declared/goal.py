@@ -20,9 +20,10 @@ from simbias.simulation.compiler import Expressions
 TIME = "t"  # the name of the time in expressions, and of its column
 MOST_ROWS = 400  # of a file: each is an operation of the compiled loop
 LONG = 100.0  # episodes: a file that goes on for longer may have its time in ms
-BRIEF = 2  # frames: a jump is a change in these by more than a
-JUMP, STEEP = 0.1, 4.0  # share of the range and times as much as in as many before or after
-ROUNDING = 1e-9  # what is smaller is none
+BRIEF = 2  # frames, within which a jump happens
+JUMP = 0.1  # of the range, at least, and
+STEEP = 4.0  # times as much as moves in as many frames before or after
+ROUNDING = 1e-9  # what is smaller is no jump
 
 
 class Reference:

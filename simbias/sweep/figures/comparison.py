@@ -191,7 +191,7 @@ def _caption(numbers: pd.DataFrame, sweep: Sweep) -> str:
     held = ", ".join(map(_held, best))
     alike = len(best) == shares.count() > 1
     often = f"{'equally' if alike else 'most'} often"
-    most = f" Policies hold {often} with {held}, by Wilson intervals (over cells; of one, over its policies)."
+    most = f" Policies hold {often} with {held}; Wilson intervals are over cells, or the policies of one."
     if not shares.any():
         most = " No trial ends with a policy that holds." * bool(shares.count())
     few = int((numbers["trials"] - numbers["judged"]).sum())
