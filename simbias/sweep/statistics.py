@@ -11,13 +11,13 @@ from functools import lru_cache
 from statistics import NormalDist
 
 import numpy as np
+from scipy.special import ndtr, stdtrit
 
 from simbias.core.proportions import CONFIDENCE, Interval, wilson
 from simbias.core.records import Array
 
 BAR = 0.8  # share of starts of which a policy has to be known to hold more
-TAIL = 50.0 * (1.0 - CONFIDENCE)
-TAILS = TAIL, 100.0 - TAIL  # percentiles of a bootstrap distribution
+TAIL = 0.5 * (1.0 - CONFIDENCE)
 FEWEST = 5  # values, or cells, of which an interval is given
 RESAMPLES = 10_000
 AT_ONCE = 1_000_000  # numbers drawn, so that a large cell takes no more memory than a small one
@@ -48,10 +48,9 @@ def passed(test_episodes: str, lasting_episodes: str) -> str:
 
 
 def interval(values: Sequence[float]) -> tuple[float, float]:
-    """Percentile bootstrap interval of the mean, independent of the values' order.
+    """Bootstrap interval of the mean, independent of the values' order.
 
-    It is nan for fewer than FEWEST values, and where all are equal: its width would tell nothing. Of five
-    values it covers the mean in about 80% of samples, of ten in 90%.
+    It is nan for fewer than FEWEST values, and where all are equal: its width would tell nothing.
     """
     if len(values) < FEWEST or min(values) == max(values):
         return np.nan, np.nan
@@ -64,8 +63,19 @@ def _interval(sample: tuple[float, ...]) -> tuple[float, float]:
     rng, means = np.random.default_rng(0), np.empty(RESAMPLES)
     for some in np.array_split(means, 1 + RESAMPLES * len(sample) // AT_ONCE):
         some[:] = rng.choice(np.array(sample, dtype=np.float64), (len(some), len(sample))).mean(axis=1)
-    low, high = np.percentile(means, TAILS)
+    low, high = np.quantile(means, tails(len(sample)))
     return float(low), float(high)
+
+
+def tails(count: int) -> tuple[float, float]:
+    """Where a bootstrap distribution of a mean of so many values is cut off.
+
+    Percentiles are expanded by what Student's t is wider than the normal distribution with its variance
+    estimated (T. Hesterberg, The American Statistician 69, 2015): at 2.5% an interval of ten counts would
+    hold their mean in 87% of samples, of five in 78%; so it does in 91% and 87%.
+    """
+    low = float(ndtr(np.sqrt(count / (count - 1)) * stdtrit(count - 1, TAIL)))
+    return low, 1.0 - low
 
 
 def mean_text(values: Sequence[float], form: str) -> str:
@@ -97,7 +107,7 @@ def performance_profile(scores: Array, thresholds: Array) -> Array:
 
 
 def bootstrap(statistic: Callable[..., float], *scores: Array, resamples: int = 2000) -> Interval:
-    """Percentile interval of a statistic of score matrices (r, c) over cells.
+    """Bootstrap interval of a statistic of score matrices (r, c) over cells.
 
     Cells are resampled with all of their runs, of all matrices the same. So it tells of other cells, and has
     a width where the runs of each cell are all alike. As `interval`, it is nan of few cells, or equal ones.
@@ -107,7 +117,7 @@ def bootstrap(statistic: Callable[..., float], *scores: Array, resamples: int = 
         return Interval(np.nan, np.nan)
     drawn = (rng.integers(count, size=count) for _ in range(resamples))
     values = [statistic(*(each[:, cells] for each in scores)) for cells in drawn]
-    return Interval(*map(float, np.percentile(values, TAILS) if np.ptp(values) else (np.nan, np.nan)))
+    return Interval(*map(float, np.quantile(values, tails(count)) if np.ptp(values) else (np.nan, np.nan)))
 
 
 def sign_test(differences: Sequence[float]) -> float:
