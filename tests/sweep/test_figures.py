@@ -201,7 +201,7 @@ def test_labels_may_be_long_and_cells_alike_when_joined() -> None:
         Experiments().draw(swept(sweep, [{**row, "outcome": "error"} for row in rows]), ())
 
 
-def test_legends_name_their_axes_and_ticks_break_at_underscores() -> None:
+def test_legends_and_rows_name_their_axes() -> None:
     several = "x: {keys: [bias.d, hardware.inertia_error], values: [[2.0, 0.1]]}"
     learners = ("acceleration_residual", "permuted_gp_learned", "gp")
     axes = f"{{bias: [{', '.join(learners)}], evaluation: [nominal_start, domain_randomization], {several}}}"
@@ -212,23 +212,22 @@ def test_legends_name_their_axes_and_ticks_break_at_underscores() -> None:
     ]
     raised = [{**row, "outcome": "error"} for row in rows[:2]]
     texts = Experiments().draw(swept(sweep, [*rows[1:], *raised]), ()).figure.axes[0].texts
-    assert [text.get_text() for text in texts] == ["0/0\n1 raised", "1/1\n1 raised"]
+    assert [text.get_text() for text in texts] == ["0/0, 1 raised", "1/1, 1 raised"]
     figure = Experiments().draw(swept(sweep, rows), ()).figure
     (axes,), (legend,) = figure.axes, figure.legends
     assert legend.get_title().get_text() == "evaluation, d/inertia error"
     assert legend.get_texts()[0].get_text() == "nominal_start, 2/0.1"
-    ticks = [each.get_text() for each in axes.get_xticklabels()]
-    assert ticks == ["acceleration_\nresidual", "permuted_gp_\nlearned", "gp"]
+    assert [each.get_text() for each in axes.get_yticklabels()] == list(learners)
     keys = "keys: [bias.d, bias.noise_variance]"
     for gap, ticks, name in (
         ("{points: {1 N m/rad: {bias.d: 2.0, bias.noise_variance: 0.5}}}", "1 N m/rad", "gap"),
         (f"{{{keys}, values: [[2.0, 0.5]], labels: [1 N m/rad]}}", "1 N m/rad", "gap"),
-        (f"{{{keys}, values: [[2.0, 0.5]]}}", "2\n0.5", "from above: d, noise variance"),
+        (f"{{{keys}, values: [[2.0, 0.5]]}}", "2, 0.5", "d, noise variance"),
     ):
         sweep = expand([f"+sweep={{trials: 1, axes: {{gap: {gap}}}}}"])
         trials = swept(sweep, [{"gap": sweep.axes[0].labels[0], **ended}])
         (axes,) = Experiments().draw(trials, ()).figure.axes
-        assert ([each.get_text() for each in axes.get_xticklabels()], axes.get_xlabel()) == ([ticks], name)
+        assert ([each.get_text() for each in axes.get_yticklabels()], axes.get_ylabel()) == ([ticks], name)
 
 
 def test_eight_series_are_told_from_each_other() -> None:
@@ -241,7 +240,7 @@ def test_eight_series_are_told_from_each_other() -> None:
         for cell in labels
         for repetition in range(12)
     ]
-    rows[0]["outcome"] = rows[12]["outcome"] = "not succeeded"  # 11/12 above both
+    rows[0]["outcome"] = rows[12]["outcome"] = "not succeeded"  # 11/12 beside both
     figure = Experiments().draw(swept(sweep, rows), ()).figure
     assert_nothing_is_cut(figure)
     one, other = (text.get_window_extent() for text in figure.axes[0].texts)

@@ -16,7 +16,7 @@ from matplotlib.transforms import ScaledTranslation
 
 from simbias.core.proportions import wilson
 from simbias.core.records import Array
-from simbias.pictures.elements.style import SIMULATION, literal, plain, series_style
+from simbias.pictures.elements.style import SIMULATION, SMALL, literal, plain, series_style
 from simbias.sweep.batches import Outcomes
 from simbias.sweep.figure import UNTESTED, FigureError, Picture, SweepFigure, SweptTrials
 from simbias.sweep.grid import Sweep
@@ -33,11 +33,12 @@ from simbias.sweep.statistics import (
 )
 from simbias.sweep.tables import untested
 
-WIDTH, ROW, CURVES, REST = 11.0, 0.24, 3.2, 2.6  # in: of the figure, of a method, of the curves, of all else
-LETTERS = 40  # of a line of a method's name
+WIDTH, ROW, CURVES, REST = 7.2, 0.19, 2.9, 2.0  # in: of the figure, of a method, of the curves, of all else
+TINY = 7  # points
+LETTERS = 34  # of a line of a method's name
 MOST = 8  # curves in a panel
 BELOW = 1.6 / 72  # in, by which a curve lies below one that is the same
-SLANTED: dict[str, Any] = {"rotation": 40, "ha": "right", "va": "top", "rotation_mode": "anchor"}
+SLANTED: dict[str, Any] = {"rotation": 55, "ha": "right", "va": "top", "rotation_mode": "anchor"}
 THRESHOLDS = np.linspace(0, 1, 101)
 
 
@@ -179,7 +180,7 @@ def _against(methods: dict[str, _Method], reference: _Method) -> pd.DataFrame:
 
 def _of_pairs(method: _Method, reference: _Method) -> list[float]:
     """Differences of a cell's pairs of trials in whether they hold; those of the same policies count once."""
-    both = method.trials.join(reference.trials, rsuffix=" of reference", how="inner")
+    both = method.trials.join(reference.trials.add_suffix(" of reference"), how="inner")
     different = both[~both.duplicated(["policy", "policy of reference"])]
     return (different["holds"] - different["holds of reference"]).tolist()
 
@@ -240,13 +241,13 @@ def _draw_cells(axes: Axes, methods: dict[str, _Method]) -> None:
     for (row, column), share in np.ndenumerate(shares):
         if np.isfinite(share):
             color = "white" if share > 0.8 else "0.25"
-            axes.text(column, row, f"{100 * share:.0f}", ha="center", va="center", fontsize=8, color=color)
+            axes.text(column, row, f"{100 * share:.0f}", ha="center", va="center", fontsize=TINY, color=color)
     ticks = [fill(literal(" ".join(name)), 26) for name in names]
-    axes.set_xticks(range(len(names)), ticks, fontsize=8, **SLANTED)
-    axes.set_yticks(range(len(methods)), [_label(*each) for each in methods.items()])
+    axes.set_xticks(range(len(names)), ticks, fontsize=TINY, **SLANTED)
+    axes.set_yticks(range(len(methods)), [_label(*each) for each in methods.items()], fontsize=8)
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
-    axes.set_title("% of test episodes passed", fontsize=9)
+    axes.set_title("% of test episodes passed", fontsize=8)
 
 
 def _draw_means(axes: Axes, numbers: pd.DataFrame) -> None:
@@ -254,7 +255,7 @@ def _draw_means(axes: Axes, numbers: pd.DataFrame) -> None:
     spread = np.abs(numbers[["share_low", "share_high"]].to_numpy().T - numbers["share"].to_numpy())
     y = range(len(numbers))
     axes.errorbar(numbers["share"], y, xerr=spread, fmt="o", color=SIMULATION, capsize=2, markersize=4)
-    axes.set_title("interquartile mean", fontsize=9)
+    axes.set_title("interquartile mean", fontsize=8)
     axes.xaxis.set_major_formatter(PercentFormatter(1.0))
     axes.set_xlim(-0.03, 1.03)
     axes.tick_params(axis="y", length=0, labelleft=False)
@@ -279,11 +280,11 @@ def _draw_curves(figure: SubFigure, methods: dict[str, _Method]) -> None:
     if not right.lines:
         right.text(0.5, 0.5, "too few test episodes", transform=right.transAxes, ha="center")
         right.set_xticks([])
-    left.set_xlabel("test episodes passed")
-    left.set_ylabel("trials with more")
+    left.set_xlabel("test episodes passed", fontsize=SMALL)
+    left.set_ylabel("trials with more", fontsize=SMALL)
     left.xaxis.set_major_formatter(PercentFormatter(1.0))
-    right.set_xlabel("hardware experiments")
-    right.set_ylabel("trials whose last policy holds")
+    right.set_xlabel("hardware experiments", fontsize=SMALL)
+    right.set_ylabel("trials whose last policy holds", fontsize=SMALL)
     for axes in (left, right):
         axes.yaxis.set_major_formatter(PercentFormatter(1.0))
         axes.set_ylim(-0.03, 1.03)
@@ -291,7 +292,8 @@ def _draw_curves(figure: SubFigure, methods: dict[str, _Method]) -> None:
     figure.legend(
         handles.values(),
         [_label(name, methods[name]) for name in handles],
-        loc="outside right center",
+        loc="outside lower center",
+        ncols=3,
         fontsize=8,
         frameon=False,
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from textwrap import fill
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -23,20 +23,19 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from simbias.sweep.axes import Axis
     from simbias.sweep.grid import Sweep
 
-HEIGHT, LINE = 3.75, 0.15  # in, without the legend and the ticks; of a line of these
-NARROWEST, WIDEST, BESIDE = 5.0, 16.0, 0.8  # in; beside the axes
-LETTER, SHORTEST = 0.085, 8  # in, of a tick's label; letters of its shortest lines
-PAPER_ASIDE = 0.12  # of the distance between two points of the axis
+WIDTH, REST = 7.2, 0.8  # in, of two columns of a paper; of the height, all but the rows
+ROW, CURVE, LINE = 0.3, 0.16, 0.17  # in: of a point at least, of each of its curves, of a line of its label
+LETTERS = 40  # of such a line
+PAPER_BELOW = 0.06  # in, by which the paper's mean lies below ours
 
 
 class Experiments(SweepFigure):
     """Table II: mean number of experiments of each cell, along the first axis that is not in columns.
 
-    Bars are bootstrap intervals, hollow markers the paper's means; where not every trial succeeded, a
-    fraction says how many did, and how many raised an error.
+    A row for each point of that axis. Bars are bootstrap intervals, hollow markers the paper's means; where
+    not every trial succeeded, a fraction says how many did, and how many raised an error.
     """
 
     reads_trials = False
@@ -60,40 +59,36 @@ def _caption(table: pd.DataFrame) -> str:
     return (
         f"Mean number of hardware experiments until success, with {CONFIDENCE:.0%} bootstrap intervals "
         f"(of {FEWEST} trials at least, not all equal){papers}. {successes} of {trials} trials succeeded "
-        "(above cells: of their own, if not all, and how many raised an error); "
+        "(beside cells: of their own, if not all, and how many raised an error); "
         "one that did not counts all that it may make."
         f"{against}"
     )
 
 
 def _figure(table: pd.DataFrame, sweep: Sweep) -> Figure:
-    """The cells along an axis, a curve for each combination of the others."""
+    """The points of an axis, a curve for each combination of the others."""
     from matplotlib.figure import Figure  # lazily: a sweep is announced before anything is drawn
 
     along = next((axis for axis in sweep.axes if axis.name != sweep.report.columns), sweep.axes[0])
     others = [axis for axis in sweep.axes if axis is not along]
     curves = list(itertools.product(*(axis.labels for axis in others)))
-    count = len(along.labels)
-    texts = [[literal(text).replace("_", "_ ") for text in point] for point in along.texts]  # may break there
-    longest = max((len(word) for point in texts for text in point for word in text.split()), default=0)
-    room = max(0.3 * (1 + len(curves)) * count + 2.0, LETTER * longest * count + BESIDE)
-    width = min(max(NARROWEST, room), WIDEST)
-    letters = max(SHORTEST, round((width - BESIDE) / count / LETTER))
-    ticks = ["\n".join(fill(text, letters).replace("_ ", "_") for text in point) for point in texts]
-    lines = 1 + max(tick.count("\n") for tick in ticks)
-    figure = Figure(figsize=(width, HEIGHT + LINE * lines), layout="constrained")
+    labels = [fill(literal(", ".join(texts)), LETTERS) for texts in along.texts]
+    row = max(ROW, CURVE * (1 + len(curves)), LINE * (1 + max(label.count("\n") for label in labels)))
+    figure = Figure(figsize=(WIDTH, row * len(labels) + REST), layout="constrained")
     axes = figure.add_subplot()
-    for index, labels in enumerate(curves):
+    for index, point in enumerate(curves):
         own = table
-        for axis, label in zip(others, labels, strict=True):
+        for axis, label in zip(others, point, strict=True):
             own = own[own[axis.name] == label]
-        offset = 0.5 * (index - (len(curves) - 1) / 2) / max(len(curves), 2)
-        _curve(axes, own, offset, index, literal(", ".join(labels)), len(curves) > 1)
-    _label(axes, along, ticks)
-    axes.set_ylim(bottom=0)
-    axes.locator_params(axis="y", integer=True)
-    axes.set_xlim(-0.6, len(along.labels) - 0.4)
-    axes.set_ylabel("hardware experiments until success")
+        offset = CURVE / row * (index - (len(curves) - 1) / 2)
+        _curve(axes, own, offset, PAPER_BELOW / row, index, literal(", ".join(point)))
+    axes.set_yticks(range(len(labels)), labels)
+    axes.set_ylim(len(labels) - 0.4, -0.6)
+    axes.set_ylabel(", ".join(heads(along)))
+    axes.set_xlim(left=0)
+    axes.locator_params(axis="x", integer=True)
+    axes.set_xlabel("hardware experiments until success")
+    plain(axes, "x")
     if len(curves) > 1 or bool(table["paper"].notna().any()):
         legend(figure, _ours_first(axes), literal(", ".join("/".join(heads(axis)) for axis in others)))
     return figure
@@ -106,27 +101,19 @@ def _ours_first(axes: Axes) -> dict[str, Artist]:
     return dict(sorted(entries, key=lambda entry: entry[0].endswith("paper")))
 
 
-def _curve(axes: Axes, own: pd.DataFrame, offset: float, index: int, name: str, narrow: bool) -> None:
-    """The cells of one curve, moved sideways so that no interval hides another, nor a fraction if narrow."""
-    x = np.arange(len(own)) + offset
+def _curve(axes: Axes, own: pd.DataFrame, offset: float, below: float, index: int, name: str) -> None:
+    """The cells of one curve, moved down so that no interval hides another."""
+    y = np.arange(len(own)) + offset
     mean, low, high = (own[column].to_numpy(dtype=float) for column in ("mean", "low", "high"))
     color, marker = series_style(index)
+    style: dict[str, Any] = {"color": color, "marker": marker, "markersize": 5, "linestyle": ""}
     spread = np.nan_to_num(np.clip([mean - low, high - mean], 0, None))
-    axes.errorbar(x, mean, spread, fmt=marker, color=color, capsize=3, markersize=5, label=name or "ours")
+    axes.errorbar(mean, y, xerr=spread, capsize=2, label=name or "ours", **style)
     paper = own["paper"].to_numpy(dtype=float)
     if not np.isnan(paper).all():
         label = f"{name}, paper" if name else "paper"
-        axes.plot(x + PAPER_ASIDE, paper, marker, color=color, mfc="white", markersize=5, label=label)
-    for at, top, row in zip(x, np.fmax(np.fmax(high, mean), 0), own.to_dict("records"), strict=True):
+        axes.plot(paper, y + below, mfc="white", label=label, zorder=3, **style)
+    for at, end, row in zip(y, np.fmax(np.fmax(high, mean), 0), own.to_dict("records"), strict=True):
         if row["succeeded"] < row["trials"] or row["raised"]:
-            text = f"{row['succeeded']}/{row['trials']}" + f"\n{row['raised']} raised" * bool(row["raised"])
-            fraction = axes.annotate(text, (at, top), (0, 5), textcoords="offset points", fontsize=7)
-            fraction.set(ha="center", va="bottom", rotation=90 * narrow)
-
-
-def _label(axes: Axes, along: Axis, ticks: Sequence[str]) -> None:
-    """The points of the axis and what they are; ticks of points of several values have a line for each."""
-    axes.set_xticks(range(len(ticks)), ticks)
-    names = heads(along)
-    axes.set_xlabel(names[0] if len(names) == 1 else "from above: " + ", ".join(names))
-    plain(axes, "y")
+            text = f"{row['succeeded']}/{row['trials']}" + f", {row['raised']} raised" * bool(row["raised"])
+            axes.annotate(text, (end, at), (5, 0), textcoords="offset points", fontsize=7, va="center")
