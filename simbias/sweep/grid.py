@@ -274,7 +274,7 @@ def _report(spec: Mapping[str, Any], axes: Sequence[Axis]) -> Report:
     fields = {
         "columns": NotRequired[str | None],
         "measures": NotRequired[list[Measure]],
-        "paper": NotRequired[dict[Any, Any]],
+        "paper": NotRequired[dict[Any, Any] | None],
         "bar": NotRequired[Annotated[Share, Field(lt=1)]],
     }
     checked = validate(spec, fields, "sweep.report")
@@ -282,7 +282,7 @@ def _report(spec: Mapping[str, Any], axes: Sequence[Axis]) -> Report:
     names = [axis.name for axis in axes]
     if columns is not None and columns not in names:
         raise ConfigError("sweep.report.columns", f"no such axis: {columns}; there are {', '.join(names)}")
-    paper = {tuple(map(label, path)): value for path, value in leaves(checked.get("paper", {}))}
+    paper = {tuple(map(label, path)): value for path, value in leaves(checked.get("paper") or {})}
     for labels, value in paper.items():
         if len(labels) != len(axes) or not isinstance(value, int | float):
             raise ConfigError(

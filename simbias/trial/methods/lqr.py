@@ -34,6 +34,9 @@ class Lqr(Method):
         being 1: smaller ones give quicker regulators.
     experiments
         Hardware experiments of an iteration.
+    passes
+        Experiments that a policy has to pass to succeed, at least `experiments`, which is what None means;
+        those beyond are made only as long as all are passed.
     identified
         A failure is learned from: the nominal model's parameters are identified from all experiments, and the
         policy is designed again.
@@ -51,6 +54,7 @@ class Lqr(Method):
 
     input_weight: Scale = INPUT_WEIGHTS[1]
     experiments: Count = 2
+    passes: Count | None = None
     identified: bool = False
     max_iterations: Count = 10
     integral_weight: NonNegative = 0.0
@@ -63,7 +67,7 @@ class Lqr(Method):
 
     def passes_of(self, policy: int) -> int:
         """Experiments that the policy of this number has to pass."""
-        return passes_for(self.confidence, policy, self.experiments)
+        return passes_for(self.confidence, policy, max(self.passes or 0, self.experiments))
 
     def check(self, study: Study) -> None:
         """Refuse a policy that imitates no such regulator, and a model that has none."""
