@@ -6,13 +6,41 @@ import _thread
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 AGAIN = 0.01  # seconds until code that must not raise has ended
 COMPILER = "llvmlite"  # LLVM calls some of its functions, and ignores what they raise
+
+
+class _Deferral:
+    """Holds interruptions back once something has begun that must not be torn apart."""
+
+    def __init__(self, begun: Callable[[], bool]) -> None:
+        self.begun = begun
+        self.interrupted = False
+
+
+_deferral: _Deferral | None = None  # of the main thread, which alone hears of signals
+
+
+@contextmanager
+def deferred(begun: Callable[[], bool] = lambda: True) -> Iterator[None]:
+    """Inside, nothing is interrupted once `begun` is true; what came meanwhile interrupts at the end."""
+    global _deferral
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    own = _Deferral(begun)
+    try:
+        _deferral = own
+        yield
+    finally:
+        _deferral = None
+        if own.interrupted:
+            raise KeyboardInterrupt
 
 
 class Interruption:
@@ -24,8 +52,6 @@ class Interruption:
     """
 
     def __init__(self) -> None:
-        self._deferring = False
-        self._pending = False
         self._came = False
         self._before: list = []
 
@@ -46,8 +72,8 @@ class Interruption:
     def _handle(self, number: int, frame: FrameType | None) -> None:
         """Interrupt now, or note it for later."""
         self._came = True
-        if self._deferring:
-            self._pending = True
+        if _deferral is not None and _deferral.begun():
+            _deferral.interrupted = True
         elif _compiles(frame):
             _interrupt_soon()
         else:
@@ -59,18 +85,6 @@ class Interruption:
             _interrupt_soon()
         else:
             self._report(raised)
-
-    @contextmanager
-    def defer(self) -> Iterator[None]:
-        """Inside, nothing is interrupted; what came meanwhile interrupts at the end."""
-        self._deferring = True
-        try:
-            yield
-        finally:
-            self._deferring = False
-        if self._pending:
-            self._pending = False
-            raise KeyboardInterrupt
 
 
 def _compiles(frame: FrameType | None) -> bool:

@@ -8,6 +8,7 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from contextvars import copy_context
 from copy import copy
 from dataclasses import dataclass, replace
@@ -18,6 +19,7 @@ import numpy as np
 
 from simbias.core import Hardware, HardwareError, Policy, Task, Waiting
 from simbias.core.errors import ConfigError
+from simbias.core.interruption import deferred
 from simbias.core.messages import with_type
 from simbias.core.records import Array, Rollout
 from simbias.lab.checks import check_rollout
@@ -121,6 +123,7 @@ class CheckedHardware(Hardware):
         self._bounds = conditions.safety.bounds(task.without_targets) if conditions.safety.limits else None
         self._ask = conditions.ask if conditions.confirm else None
         self._record = record
+        self._returned: Any = None  # by the hardware, in the latest experiment
         self.sets_start = hardware.sets_start
 
     def with_hardware(self, hardware: Hardware, task: Task) -> CheckedHardware:
@@ -130,6 +133,11 @@ class CheckedHardware(Hardware):
         if self._timeout is not None:
             other._timeout = self._timeout * task.horizon / self._task.horizon
         return other
+
+    def whole(self) -> AbstractContextManager[None]:
+        """Inside, what the hardware has returned is kept and counted before an interruption."""
+        self._returned = None
+        return deferred(lambda: self._returned is not None)
 
     def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
         """One experiment with theta (p,), or its replay.
@@ -175,7 +183,8 @@ class CheckedHardware(Hardware):
         def experiment() -> Any:
             process = os.getpid()
             try:
-                return self._hardware.run(limited or policy, theta, start, rng)
+                self._returned = self._hardware.run(limited or policy, theta, start, rng)
+                return self._returned
             finally:
                 if os.getpid() != process:  # a process that the hardware forked ends here
                     os._exit(1)
@@ -188,6 +197,7 @@ class CheckedHardware(Hardware):
             raise
         except BaseException as error:  # also SystemExit, and what other libraries cancel tasks by
             if limited and (aborted := limited.aborted):
+                self._returned = aborted
                 _Call(self._hardware.stop).ended(STOP_SECONDS)
                 return aborted
             if isinstance(error, HardwareError) and error.returned is not None and self._record:

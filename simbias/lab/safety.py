@@ -10,7 +10,7 @@ import numpy as np
 
 from simbias.core import Controller, HardwareError, Law, Policy, Quantity, Task
 from simbias.core.ranges import Positive
-from simbias.core.records import Array, Rollout
+from simbias.core.records import Array, Indices, Rollout
 from simbias.core.robot import NOT_A_NUMBER, by_quantity
 
 ROUNDING = 1e-12  # relative, of a limit that a controller holds itself
@@ -118,6 +118,15 @@ class _Monitor:
         self._last = np.array(u, dtype=np.float64)
         return ""
 
+    def beyond(self, x: Array, u: Array) -> Indices:
+        """The frames whose states x (k, n) or inputs u (k, m) exceed a limit."""
+        changes = np.abs(np.diff(u, axis=0, prepend=u[:1]))
+        within = (np.abs(x) <= self._states).all(axis=1) & (changes <= self._changes).all(axis=1)
+        within &= ((self._least <= u) & (u <= self._most)).all(axis=1)
+        if self._criteria:
+            within &= self._task.violated(x) < 0
+        return np.flatnonzero(~within)
+
 
 def hold(rollout: Rollout, task: Task, bounds: Bounds, source: str) -> Rollout:
     """A rollout up to the first state beyond its limits, as if the experiment had been aborted there.
@@ -129,15 +138,18 @@ def hold(rollout: Rollout, task: Task, bounds: Bounds, source: str) -> Rollout:
     """
     monitor = _Monitor(task, bounds, task.time_step, RECORDED_ROUNDING)
     seen = rollout.states if rollout.measured is None else rollout.measured
-    for frame in range(rollout.frames):
-        if failure := monitor.of_state(seen[frame]):
-            return replace(rollout.part(0, frame), failed_at=frame, failure=failure)
-        if failure := monitor.of_input(rollout.inputs[frame]):
-            raise HardwareError(
-                f"{source}: inputs: expected them within the limits of the experiment (hardware.safety), "
-                f"got {failure} in frame {frame}: {rollout.inputs[max(frame - 1, 0) : frame + 1].tolist()}"
-            )
-    return rollout
+    beyond = monitor.beyond(seen[: rollout.frames], rollout.inputs)
+    if not len(beyond):
+        return rollout
+    frame = int(beyond[0])
+    if failure := monitor.of_state(seen[frame]):
+        return replace(rollout.part(0, frame), failed_at=frame, failure=failure)
+    inputs = rollout.inputs[max(frame - 1, 0) : frame + 1]
+    *_, failure = map(monitor.of_input, inputs)
+    raise HardwareError(
+        f"{source}: inputs: expected them within the limits of the experiment (hardware.safety), "
+        f"got {failure} in frame {frame}: {inputs.tolist()}"
+    )
 
 
 def exceeded(rollout: Rollout, task: Task, bounds: Bounds) -> str:

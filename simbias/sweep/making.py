@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from simbias.config.sent_code import packed
 from simbias.core import HardwareError, Waiting
-from simbias.core.interruption import Interruption
+from simbias.core.interruption import deferred
 from simbias.engine.contract import Engine, WorkerLostError
 from simbias.engine.workplace import temporary_folder
 from simbias.pictures.elements.drawing import NoPictureError
@@ -54,18 +54,17 @@ def make_figures(
     engine: Engine,
     state: SweepState,
     observer: SweepObserver,
-    interruption: Interruption,
 ) -> None:
     """Make every figure that the sweep declares; errors as of `run_sweep`."""
     for name, figure in sweep.figures.items():
         with _errors_of(name):
             trials = state.swept()
             batches = figure.experiments(trials)
-            outcomes = _outcomes(name, batches, engine, state, observer, interruption)
+            outcomes = _outcomes(name, batches, engine, state, observer)
             picture = figure.draw(trials, outcomes)
             caption = picture.caption + left_out(trials.table["outcome"])
             picture = replace(picture, caption=caption)
-        with temporary_folder() as folder, interruption.defer():
+        with temporary_folder() as folder, deferred():
             files = picture.write(Path(folder), name)
             state.publish(name, caption, files)
             observer.drawn(name, caption, _copy(files, sweep.figures_to))
@@ -88,7 +87,6 @@ def _outcomes(
     engine: Engine,
     state: SweepState,
     observer: SweepObserver,
-    interruption: Interruption,
 ) -> list[Outcomes]:
     """The outcomes of all batches; those that are kept are not run again."""
     batch_of = {batch.hash: batch for batch in batches}
@@ -104,7 +102,7 @@ def _outcomes(
             for index, result in results:
                 if isinstance(result, WorkerLostError) or result.error:
                     raise FigureError(str(getattr(result, "error", result)))
-                with interruption.defer():
+                with deferred():
                     outcomes[missing[index]] = result
                     state.folder.keep_outcomes(missing[index], result)
                     advance()

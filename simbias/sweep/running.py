@@ -13,7 +13,7 @@ from pandas import DataFrame
 from simbias.config import ConfigError, Variations
 from simbias.config.build import build, service
 from simbias.config.sent_code import packed
-from simbias.core.interruption import Interruption
+from simbias.core.interruption import Interruption, deferred
 from simbias.engine.contract import Engine, WorkerLostError
 from simbias.engine.workplace import tidy
 from simbias.sweep.grid import Sweep, Trial, expanded
@@ -119,18 +119,18 @@ def run_sweep(
         tidy()  # an engine without workers makes no folder of its own, which would
         state = SweepState(sweep, store, again)
         try:
-            with Interruption() as interruption:
+            with Interruption():
                 observer.begun(sweep, state.finished, store.folder)
                 try:
                     state.begin()
                     for trial, result in _results(trials_engine, state):
-                        with interruption.defer():
+                        with deferred():
                             state.keep(trial, result)
                             observer.ended(trial, result)
                 finally:
                     observer.all_ended()
                 if state.draws:
-                    make_figures(sweep, trials_engine, state, observer, interruption)
+                    make_figures(sweep, trials_engine, state, observer)
         except BaseException as error:
             state.close(error)
             raise

@@ -131,7 +131,8 @@ def run_policy_test(
     for number, rng in enumerate(np.random.default_rng(test.seed).spawn(test.episodes)):
         own, start = studies[horizons[number]], task.draw_start(rng)
         trying(number, test.episodes)
-        rollout = own.checked_hardware.run(own.policy, np.asarray(theta, dtype=np.float64), start, rng)
+        with own.checked_hardware.whole():
+            rollout = own.checked_hardware.run(own.policy, np.asarray(theta, dtype=np.float64), start, rng)
         asked, lasted = own.task.horizon * task.time_step, rollout.frames * task.time_step
         succeeds = own.task.succeeds(rollout.states)
         succeeds = None if succeeds is None else succeeds and rollout.failure is None

@@ -187,9 +187,10 @@ class Study:
         watching = observer or Observer()
         self.spending.check()
         watching.experimenting(theta, begin)
-        rollout = self._judged(self.checked_hardware.run(self.policy, theta, begin, rng), theta)
-        self.spending.add(rollout.frames * self.task.time_step)
-        watching.experimented(rollout)
+        with self.checked_hardware.whole():
+            rollout = self._judged(self.checked_hardware.run(self.policy, theta, begin, rng), theta)
+            self.spending.add(rollout.frames * self.task.time_step)
+            watching.experimented(rollout)
         return rollout
 
     def passes(self, rollout: Rollout) -> bool:

@@ -70,8 +70,8 @@ def brief() -> Study:
 
 def make(figure: SweepFigure, store: Store, folder: Path) -> None:
     sweep = SimpleNamespace(figures={"tries": figure}, figures_to=str(folder))
-    with Interruption() as interruption:
-        make_figures(sweep, Sequential(), store, SweepObserver(), interruption)
+    with Interruption():
+        make_figures(sweep, Sequential(), store, SweepObserver())
 
 
 def test_errors_name_the_figure(brief: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,12 +6,15 @@ import os
 import re
 import resource
 import shutil
+import signal
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from io import StringIO
 from math import isnan, nan
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -27,13 +30,16 @@ import simbias
 from simbias.config import ConfigError
 from simbias.config.stored import read_folder
 from simbias.core import Hardware, Policy, platform
+from simbias.core.interruption import Interruption
 from simbias.core.records import Array, Rollout
+from simbias.lab import checked_hardware
 from simbias.terminal.trial import changed_since
 from simbias.trial import record as records
 from simbias.trial.disk import LOCK, PART, is_locked, write_whole
 from simbias.trial.files import load_rollout
 from simbias.trial.folder import ATTEMPTS, EPISODE, EPISODES, EXPERIMENT, OUTCOME, TRIAL, TrialFolder
 from simbias.trial.observer import Observer
+from simbias.trial.record import FolderRecord
 from simbias.trial.run import TrialRecord, read_trial, run_trial
 from simbias.trial.study import Study
 from simbias.trial.summary import Outcome
@@ -128,6 +134,38 @@ def test_stopped_anywhere_a_trial_ends_as_uninterrupted(overrides: list[str], tm
         for file in TrialFolder(folder).steps():
             if file.suffix == ".npz":
                 assert file.read_bytes() == (tmp_path / "whole" / file.name).read_bytes()
+
+
+def interrupting(function: Callable[..., Any], log: list[str]) -> Callable[..., Any]:
+    """The function; the first time after an experiment was made, a signal comes just before."""
+
+    def interrupted(*given: Any) -> Any:
+        if log[-1:] == ["made"]:
+            log.append("signal")
+            signal.raise_signal(signal.SIGINT)
+        return function(*given)
+
+    return interrupted
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("timeout", [None, 60.0])
+def test_an_experiment_that_has_ended_is_kept_before_a_signal_interrupts(
+    short: Study, whole: Whole, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, timeout: float | None
+) -> None:
+    """And counted, whether the signal comes while it is checked, packed or written."""
+    study, log = counted(replace(short, conditions=replace(short.conditions, timeout=timeout)))
+    places = (checked_hardware, "check_rollout"), (records, "packed_rollout"), (FolderRecord, "_write")
+    for count in range(EXPERIMENTS):
+        owner, name = places[count % len(places)]
+        with monkeypatch.context() as patch:
+            patch.setattr(owner, name, interrupting(getattr(owner, name), log))
+            with pytest.raises(KeyboardInterrupt), Interruption():
+                run_trial(study, tmp_path)
+        assert (log.count("made"), made(step_names(tmp_path))) == (count + 1, count + 1)
+        assert read_trial(short, tmp_path).summary.experiments == min(count + 1, EXPERIMENTS - 2)
+    assert_equal(timeless(run_trial(study, tmp_path)), timeless(whole[1]))
+    assert log.count("made") == EXPERIMENTS
 
 
 @pytest.mark.slow
