@@ -67,6 +67,7 @@ class FolderRecord(Record):
         self._writes = False  # but in a folder that is opened, of a trial that has not ended
         self._kept: list[Path] = []  # all steps: those that were there, and those made since
         self._episodes = 0  # that were replayed
+        self._replayed_seconds = 0.0  # that iterations took which were replayed
         self._searched = 0.0  # s that the searches took which were replayed since the last iteration
         self.testing = False  # the last policy, whose episodes are no experiments of the method's
 
@@ -198,8 +199,14 @@ class FolderRecord(Record):
             if search is not None and predicted is not None:
                 search = replace(search, predicted_cost=predicted)
             iteration = replace(iteration, search=search, seconds=seconds)
+            self._replayed_seconds += sum(seconds.values())
         self._searched = 0.0
         return iteration
+
+    @property
+    def seconds_before(self) -> float:
+        """Wall time of the attempts before this one, s; of one that was killed, that of its iterations."""
+        return max(self.folder.seconds(), self._replayed_seconds)
 
     def refuse(self, returned: Any, theta: Array, start: Array, why: str) -> str:
         """Keep what is no rollout beside the steps; what could not be kept hides no error."""

@@ -144,12 +144,11 @@ def read_trial(study: Study, folder: Path) -> TrialRecord:
                 raise
     record = run.record(Outcome.INTERRUPTED)
     if (summary := kept.summary(record.summary)) is None:  # it runs, or was killed
-        spent = sum(sum(each.seconds.values()) for each in record.iterations)
         summary = replace(
             record.summary,
             outcome=Outcome.RUNNING if is_locked(folder / LOCK) else Outcome.INTERRUPTED,
             ended=nan,
-            seconds=max(spent, kept.folder.seconds()),
+            seconds=kept.seconds_before,
             platforms=tuple(kept.folder.platforms()),
             processor="",
         )
@@ -231,7 +230,7 @@ class _Run(Observer):
             max_experiments=self._study.max_experiments,
             max_iterations=method.max_iterations,
             ended=time.time(),
-            seconds=time.perf_counter() - self._clock + (before.seconds() if before else 0.0),
+            seconds=time.perf_counter() - self._clock + (self._kept.seconds_before if self._kept else 0.0),
             hardware_seconds=self._study.task.time_step * sum(rollout.frames for rollout in self._made),
             test_episodes=test.successes if test else "",
             lasting_episodes=test.lasting if test else "",

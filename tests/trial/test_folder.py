@@ -205,6 +205,8 @@ def test_a_resumed_iteration_tells_the_time_of_its_search(short: Study, whole: W
         read = read_trial(short, folder)
         assert read.iterations[0].seconds.get("search", nan) == pytest.approx(first, nan_ok=True)
         assert not isnan(read.summary.seconds)
+        resumed = run_trial(short, folder).summary  # as if the attempt had been killed
+        assert resumed.seconds > read.summary.seconds
 
 
 @pytest.mark.slow
