@@ -45,14 +45,16 @@ def of_folders(
 ) -> pd.DataFrame:
     """The trials that ended or raised, in the sweep's order; none where there is no folder.
 
-    A folder that cannot be read counts as none; `damaged` is called with the error that names it.
+    A folder that cannot be read, or is another trial's, counts as none; `damaged` is called with the error
+    that names it.
     """
     rows = {}
     for trial in sweep.trials if trials else ():
         folder = TrialFolder(Path(trials or "", trial.hash))
         try:
             summary = folder.summary()
-            if summary is not None and summary.outcome in SHOWN and folder.description():
+            if summary is not None and summary.outcome in SHOWN:
+                folder.check_identity(trial.hash)
                 rows[trial.hash] = row(trial, sweep, summary)
         except ConfigError as error:
             damaged(error)

@@ -80,6 +80,13 @@ class TrialFolder:
         """
         return read_json(self.path / TRIAL)
 
+    def check_identity(self, identity: str) -> None:
+        """Raise a ConfigError if this is another trial's folder, as a copy is, or as of `description`."""
+        found = self.description().get("hash")
+        if found != identity:
+            problem = f"is the folder of trial {found}, and trial {identity} was asked for. Move it away"
+            raise ConfigError(str(self.path), problem)
+
     @property
     def ended(self) -> bool:
         """Whether the trial has ended; else it runs, or can be resumed.

@@ -83,13 +83,15 @@ class FolderRecord(Record):
         Raises
         ------
         ConfigError
-            If the folder cannot be written, holds steps or an outcome without a readable trial.json, or
-            another process runs this trial.
+            If the folder cannot be written, is another trial's, holds steps or an outcome without a readable
+            trial.json, or another process runs this trial.
         """
         with nullcontext() if self.folder.ended else self.folder.held():
             self._writes = not self.folder.ended  # meanwhile, by another process
             if self._writes:
                 self._begin()
+            else:
+                self.folder.check_identity(self._study.hash)
             yield
 
     def _begin(self) -> None:
@@ -99,7 +101,7 @@ class FolderRecord(Record):
             file.unlink()
         self._kept = self.folder.all_steps()
         if (path / TRIAL).exists():
-            self.folder.description()  # if it can be read
+            self.folder.check_identity(self._study.hash)
         elif self._kept or self.folder.numbered(OUTCOME).exists():
             raise missing(path / TRIAL)
         else:

@@ -89,9 +89,9 @@ def run_trial(study: Study, folder: Path | None = None, observer: Observer | Non
     Raises
     ------
     ConfigError
-        If the method cannot work with a component, the folder cannot be written, holds no readable trial.json
-        beside its steps or is changed meanwhile, a trial that ended cannot be replayed, or another process
-        runs this trial.
+        If the method cannot work with a component, the folder cannot be written, is another trial's, holds no
+        readable trial.json beside its steps or is changed meanwhile, a trial that ended cannot be replayed,
+        or another process runs this trial.
     KeyboardInterrupt
         When interrupted; what was done is kept.
     """

@@ -150,17 +150,17 @@ def test_a_hardware_that_hangs_is_stopped(
     assert_equal(timeless(run_trial(faulty(patient, "hangs"), folder / "trial")), uninterrupted)
 
 
-def test_a_trial_whose_process_ends_resumes(study: Study, uninterrupted: TrialRecord, folder: Path) -> None:
+def test_a_trial_whose_process_ends_resumes(uninterrupted: TrialRecord, folder: Path) -> None:
     conf = write(folder / "conf", CONF)
     for number, (fault, status) in enumerate({"_exit": 7, "SIGSEGV": -11, "SIGKILL": -9}.items()):
         assert fault in DEADLY
-        trial = folder / str(number)
-        process = start(trial, [*SHORT, "hardware=faulty", f"hardware.fault={fault}"], conf)
+        trial, overrides = folder / str(number), [*SHORT, "hardware=faulty", f"hardware.fault={fault}"]
+        process = start(trial, overrides, conf)
         process.join(60)
         assert process.exitcode == status
         assert step_names(trial) == ["search", "experiment"]
         (folder / MENDED).touch()
-        assert_equal(timeless(run_trial(faulty(study, fault), trial)), uninterrupted)
+        assert_equal(timeless(run_trial(simbias.load(overrides, conf), trial)), uninterrupted)
         (folder / MENDED).unlink()
 
 

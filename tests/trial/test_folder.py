@@ -302,6 +302,17 @@ def test_an_attempt_that_cannot_be_read_is_named(tmp_path: Path, line: dict[str,
         assert (folder.ended, folder.seconds()) == (False, 0.0)
 
 
+def test_a_copy_under_the_hash_of_another_trial_is_not_taken_for_it(
+    short: Study, whole: Whole, tmp_path: Path
+) -> None:
+    """Ended or not."""
+    other = simbias.load([*SHORT, "seed=9"])
+    copies = shutil.copytree(whole[0], tmp_path / "ended"), cut(whole[0], tmp_path / "killed", 3)
+    for folder in copies:
+        with one_line(rf"{folder.name}: is the folder of trial {short.hash}, and trial {other.hash} was"):
+            run_trial(other, folder)
+
+
 def test_files_of_ones_own_are_no_steps(tmp_path: Path) -> None:
     """Whatever they begin with."""
     names = ["0000_search.json", "10001_experiment.npz"]
