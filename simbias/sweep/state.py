@@ -23,7 +23,7 @@ from simbias.sweep.figure import SweptTrials
 from simbias.sweep.grid import Sweep, Trial
 from simbias.sweep.tracking import Export, Tracking
 from simbias.sweep.worker import GONE, Plan, Result, code, pack, unpack
-from simbias.trial.folder import PICTURES, TrialFolder
+from simbias.trial.folder import TrialFolder
 from simbias.trial.origin import provenance, tell_what_is_in_clear
 from simbias.trial.run import TrialRecord, read_trial
 from simbias.trial.summary import Outcome, TrialSummary
@@ -50,7 +50,7 @@ def _whole(trials: DataFrame, store: Tracking) -> DataFrame:
     """Trials that have ended and have their pictures; a kill may have come between."""
     ended = trials[trials["outcome"] != Outcome.ERROR]
     drawn = [
-        not _pictures(repetition, store) or Path(store.folder or "", identity, PICTURES).is_dir()
+        not _pictures(repetition, store) or TrialFolder(Path(store.folder or "", identity)).illustrated
         for identity, repetition in zip(ended["hash"], ended["repetition"], strict=True)
     ]
     return ended.loc[drawn]

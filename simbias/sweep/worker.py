@@ -6,7 +6,7 @@ import io
 import time
 import warnings
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from socket import gethostname
@@ -20,7 +20,7 @@ from simbias.core.platform import package_digest
 from simbias.engine.workplace import temporary_folder
 from simbias.trial.disk import write_whole
 from simbias.trial.folder import OUTCOME, TRIAL, TakenError, TrialFolder
-from simbias.trial.run import run_trial
+from simbias.trial.run import TrialRecord, run_trial
 from simbias.trial.summary import Outcome, TrialSummary
 
 OTHER_CODE = "{} has other code there than where the sweep was started"
@@ -67,9 +67,7 @@ def run_plan(plan: Plan) -> Result:
                 return lost(OTHER_CODE.format(", ".join(other)) + _where(apart))
             record = run_trial(study, folder)
             if folder is not None and plan.pictures:
-                from simbias.pictures.trial.gallery import illustrate  # lazily: most trials have none
-
-                illustrate(record, folder, plan.pictures)
+                _illustrate(record, folder, plan.pictures)
             packed = pack(folder) if folder is not None and apart else b""
         except KeyboardInterrupt:
             raise
@@ -78,6 +76,16 @@ def run_plan(plan: Plan) -> Result:
         except BaseException as error:
             return lost(with_type(error) + _where(apart))
     return Result(record.summary, "" if folder else record.traceback, packed)
+
+
+def _illustrate(record: TrialRecord, folder: Path, names: Sequence[str]) -> None:
+    """Draw a trial; after an error, as of a full disk, the next start of the sweep draws it."""
+    from simbias.pictures.trial.gallery import illustrate  # lazily: most trials have none
+
+    try:
+        illustrate(record, folder, names)
+    except Exception as error:
+        warnings.warn(f"pictures of trial {folder.name}: {with_type(error)}", RuntimeWarning, stacklevel=2)
 
 
 def _where(apart: bool) -> str:

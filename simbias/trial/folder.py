@@ -170,6 +170,11 @@ class TrialFolder:
         found = (file for file in self.path.rglob("*") if file.is_file() and not file.name.startswith("."))
         return sorted(file for file in found if file.suffix != PART)
 
+    @property
+    def illustrated(self) -> bool:
+        """Whether there are pictures, or a text in their place."""
+        return any(file.suffix != PART for file in (self.path / PICTURES).glob("*"))
+
     def held(self) -> AbstractContextManager[None]:
         """Hold the folder for this process; TakenError if another does, ConfigError if it is read-only."""
         taken = TakenError(str(self.path), "another process is running this trial")

@@ -86,3 +86,6 @@ def test_what_a_full_disk_left_half_written_is_drawn_again(
     for _ in range(2):  # the second time all is there
         illustrate(record, tmp_path, ["costs"])
     assert [file.name for file in tmp_path.glob("pictures/*")] == ["costs.png"]
+    (tmp_path / "empty").mkdir()
+    illustrate(replace(record, iterations=()), tmp_path / "empty")
+    assert (tmp_path / "empty" / "pictures" / "none.txt").read_text().startswith("This trial has nothing")

@@ -149,11 +149,21 @@ def test_trials_that_another_process_runs_are_tried_again_at_the_end(
     check(folder, uninterrupted)
 
 
-def test_a_trial_that_was_killed_before_its_picture_was_drawn(folder: Path) -> None:
+def test_a_picture_that_is_not_there_is_drawn_later(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The disk was full, or the trial was killed before it was drawn; how the trial ended stays as it is."""
+
+    def full(path: Path, content: bytes) -> None:
+        raise OSError(28, "No space left on device")
+
     write_sweep(folder, "mine", "sweep: {trials: 1, figures: {}, axes: {bias: [gp]}}")
     command = ["--config-dir", "conf", "+sweep=mine", "tracking=folders", *QUICK, ONE_PROCESS]
-    assert main(command) == 0
+    with monkeypatch.context() as patch:
+        patch.setattr("simbias.pictures.trial.gallery.write_whole", full)
+        with pytest.warns(RuntimeWarning, match="No space left on device"):
+            assert main(command) == 0
+    assert "error" not in state(folder)["outcomes"]
     (pictures,) = folder.glob("trials/*/pictures")
-    shutil.rmtree(pictures)
-    assert main(command) == 0
-    assert (pictures / "overview.png").exists()
+    for _ in range(2):
+        assert main(command) == 0
+        assert (pictures / "overview.png").exists()
+        shutil.rmtree(pictures)

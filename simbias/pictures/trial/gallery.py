@@ -40,6 +40,7 @@ FIGURES: dict[str, Callable[[Study, Sequence[Iteration]], Figure]] = {
 }
 ANIMATION = "animation"
 ALL = (*FIGURES, ANIMATION)
+NONE = "none.txt"  # in place of pictures
 
 
 def pictures(
@@ -78,6 +79,8 @@ def illustrate(record: TrialRecord, folder: Path, names: Sequence[str] = ALL) ->
         return
     with threadpool_limits(1, user_api="blas"):  # as when the trial ran
         files = pictures(record.study, record.iterations, missing, record.withdrawn)
+    if not there and not files:
+        files = {NONE: b"This trial has nothing that could be drawn.\n"}
     target.mkdir(exist_ok=True)
     for name, content in files.items():
         write_whole(target / name, content)
