@@ -292,9 +292,12 @@ class FolderRecord(Record):
         self._write(self._next(kind), content)
 
     def _write(self, file: Path, content: bytes) -> None:
-        """Write the file of a step."""
-        write_whole(file, content)
-        self._kept.append(file)
+        """Write the file of a step, which may be there though the disk reports an error."""
+        try:
+            write_whole(file, content)
+        finally:
+            if file.exists():
+                self._kept.append(file)
 
     def _next(self, kind: str) -> Path:
         """The file of the next step; errors as of `check`."""

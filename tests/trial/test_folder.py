@@ -1,5 +1,6 @@
 """A trial's folder: on disk before it is used, resumed from any point, read back as far as it goes."""
 
+import errno
 import json
 import logging
 import os
@@ -7,6 +8,7 @@ import re
 import resource
 import shutil
 import signal
+import stat
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
@@ -530,6 +532,30 @@ def test_a_folder_that_cannot_be_written_is_one_line(
     assert path.read_bytes() == b"old"
     with pytest.raises(ConfigError, match=r"file.*cannot be written"):
         run_trial(short, path / "trial")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [errno.EINVAL, errno.EIO])
+def test_a_folder_that_cannot_be_synchronised_loses_nothing(
+    short: Study, whole: Whole, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    """Where its file system cannot, the trial goes on; any other error ends it in one line that names it."""
+    (study, log), synchronise = counted(short), os.fsync
+
+    def fail(file: int) -> None:
+        if stat.S_ISDIR(os.fstat(file).st_mode) and step_names(tmp_path):
+            raise OSError(number, os.strerror(number))
+        synchronise(file)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("os.fsync", fail)
+        record, steps = run_trial(study, tmp_path), step_names(tmp_path)
+    if number == errno.EIO:
+        assert (record.outcome, steps) == (Outcome.ERROR, ["search"])
+        assert record.summary.reason == f"OSError: [Errno 5] Input/output error: {str(tmp_path)!r}"
+        record = run_trial(study, tmp_path)
+    assert_equal(timeless(record), timeless(whole[1]))
+    assert log.count("made") == EXPERIMENTS
 
 
 def test_pandas_reads_it(whole: Whole) -> None:
