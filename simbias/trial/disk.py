@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -42,13 +43,18 @@ def locked(path: Path, timeout: float, taken: ConfigError) -> Iterator[None]:
 
 
 def is_locked(path: Path) -> bool:
-    """Whether a process holds this lock."""
+    """Whether a process holds this lock; on POSIX, its file need not be writable."""
     try:
-        if path.exists():
+        if sys.platform != "win32":
+            import fcntl
+
+            with path.open("rb") as file:
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        elif path.exists():
             FileLock(path).acquire(timeout=0).lock.release()
-    except Timeout:
+    except (BlockingIOError, Timeout):
         return True
-    except OSError:  # a copy that nobody may write
+    except OSError:  # there is none, or it cannot be opened
         pass
     return False
 
