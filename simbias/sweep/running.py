@@ -22,7 +22,7 @@ from simbias.sweep.state import SweepState, finished
 from simbias.sweep.tracking import Tracking
 from simbias.sweep.worker import Result, lost, run_plan
 from simbias.testing.rehearsal import rehearse
-from simbias.trial.disk import LOCK, locked
+from simbias.trial.disk import LOCK, LOOK_SECONDS, locked
 from simbias.trial.folder import TrialFolder
 from simbias.trial.origin import changed_code
 from simbias.trial.policy_test import NO_TEST
@@ -115,7 +115,8 @@ def run_sweep(
     """
     observer = observer or SweepObserver()
     folder = store.sweep_folder(sweep.name, sweep.hash)
-    with locked(folder.path / LOCK, 0.0, ConfigError("sweep", "another process is running this sweep")):
+    taken = ConfigError("sweep", "another process is running this sweep")
+    with locked(folder.path / LOCK, LOOK_SECONDS, taken):
         tidy()  # an engine without workers makes no folder of its own, which would
         state = SweepState(sweep, store, again)
         try:

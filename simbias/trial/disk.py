@@ -18,6 +18,7 @@ from simbias.core.messages import with_type, words
 
 PART = ".part"  # suffix of a file that is being written
 LOCK = ".lock"  # file of a folder that one process at a time may write
+LOOK_SECONDS = 1.0  # that a start waits, as who looks whether a lock is held holds it for a moment
 
 Loaded = TypeVar("Loaded")
 

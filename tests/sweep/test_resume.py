@@ -2,10 +2,12 @@
 
 import shutil
 import signal
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
+from threading import Timer
 
 import pytest
+from filelock import FileLock
 from processes import runs as alive
 from sweeping import (
     FOUR_CELLS,
@@ -23,9 +25,11 @@ from sweeping import (
 )
 
 from simbias.__main__ import main
+from simbias.config import ConfigError
 from simbias.sweep.grid import Trial
 from simbias.sweep.worker import Result
 from simbias.terminal.sweep import SweepConsole
+from simbias.trial.disk import locked
 from simbias.trial.folder import TrialFolder
 
 pytestmark = pytest.mark.slow
@@ -167,3 +171,16 @@ def test_a_picture_that_is_not_there_is_drawn_later(folder: Path, monkeypatch: p
         assert main(command) == 0
         assert (pictures / "overview.png").exists()
         shutil.rmtree(pictures)
+
+
+def test_looking_whether_a_sweep_runs_stops_no_start(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def looked_at(path: Path, timeout: float, taken: ConfigError) -> AbstractContextManager[None]:
+        path.parent.mkdir(parents=True)
+        looking = FileLock(path, thread_local=False)
+        looking.acquire()
+        Timer(0.1, looking.release).start()
+        return locked(path, timeout, taken)
+
+    monkeypatch.setattr("simbias.sweep.running.locked", looked_at)
+    write_sweep(folder, "mine", "sweep: {trials: 1, figures: {}, axes: {bias: [none]}}")
+    assert main([*COMMAND, *QUICK, ONE_PROCESS, "sweep.trials=1", "tracking.pictures=false"]) == 0
