@@ -160,7 +160,8 @@ def _tried(
     code = partial(packed, list(cells.values()))
     with closing(trials_engine.run(run_plan, plans, code)) as ended:
         for index, result in ended:
-            yield trials[index], lost(str(result)) if isinstance(result, WorkerLostError) else result
+            result = lost(str(result)) if isinstance(result, WorkerLostError) else result
+            yield trials[index], state.taken_in(trials[index], result)
 
 
 def changed_trials(sweep: Sweep, store: Tracking) -> Iterator[str]:

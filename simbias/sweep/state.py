@@ -17,13 +17,14 @@ from pandas import DataFrame
 from simbias.config.build import build
 from simbias.core import markdown
 from simbias.core.errors import ConfigError
+from simbias.core.interruption import deferred
 from simbias.core.messages import redact
 from simbias.sweep import results, tables
 from simbias.sweep.figure import SweptTrials
 from simbias.sweep.grid import Sweep, Trial
 from simbias.sweep.tracking import Export, Tracking
 from simbias.sweep.worker import GONE, Plan, Result, code, pack, unpack
-from simbias.trial.folder import TrialFolder
+from simbias.trial.folder import TakenError, TrialFolder
 from simbias.trial.origin import provenance, tell_what_is_in_clear
 from simbias.trial.run import TrialRecord, read_trial
 from simbias.trial.summary import Outcome, TrialSummary
@@ -130,14 +131,23 @@ class SweepState:
         pictures = _pictures(trial.repetition, self._store)
         return Plan(composition, str(folder.absolute()), marker, kept, pictures, digests)
 
-    def keep(self, trial: Trial, result: Result) -> None:
-        """Note a trial that ended or stopped, and export it."""
-        folder, summary = self._store.trial_folder(trial.hash), result.summary
+    def taken_in(self, trial: Trial, result: Result) -> Result:
+        """A result, its folder laid out if a worker sent it; of a trial that runs here meanwhile, none."""
+        folder = self._store.trial_folder(trial.hash)
         if folder is not None and not self._marker.exists():
             gone = self.folder.path if folder.parent.exists() else folder.parent
             raise ConfigError("tracking", GONE.format(gone))
         if folder is not None and result.packed:
-            unpack(result.packed, folder)
+            try:
+                with deferred(), TrialFolder(folder).held():
+                    unpack(result.packed, folder)
+            except TakenError as error:
+                return Result(TrialSummary(Outcome.RUNNING, reason=str(error)))
+        return result
+
+    def keep(self, trial: Trial, result: Result) -> None:
+        """Note a trial that ended or stopped, and export it."""
+        folder, summary = self._store.trial_folder(trial.hash), result.summary
         self._rows.pop(trial.hash, None)  # of an attempt that raised
         if summary.outcome in results.SHOWN:
             self._rows[trial.hash] = results.row(trial, self._sweep, summary)

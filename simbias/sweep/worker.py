@@ -15,7 +15,8 @@ from typing import NamedTuple
 from simbias.config import Composition
 from simbias.config.build import build
 from simbias.core import SlowWarning
-from simbias.core.messages import with_type
+from simbias.core.errors import ConfigError
+from simbias.core.messages import quote, with_type
 from simbias.core.platform import package_digest
 from simbias.engine.workplace import temporary_folder
 from simbias.trial.disk import write_whole
@@ -117,5 +118,7 @@ def unpack(packed: bytes, folder: Path) -> None:
     with zipfile.ZipFile(io.BytesIO(packed)) as archive:
         for name in archive.namelist():
             path = folder / name
+            if not path.resolve().is_relative_to(folder.resolve()):
+                raise ConfigError(str(folder), f"a worker sent {quote(name)}, which would lie outside")
             path.parent.mkdir(parents=True, exist_ok=True)
             write_whole(path, archive.read(name))

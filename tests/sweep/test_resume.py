@@ -26,8 +26,9 @@ from sweeping import (
 
 from simbias.__main__ import main
 from simbias.config import ConfigError
+from simbias.engine.sequential import Sequential
 from simbias.sweep.grid import Trial
-from simbias.sweep.worker import Result
+from simbias.sweep.worker import Plan, Result, run_plan
 from simbias.terminal.sweep import SweepConsole
 from simbias.trial.disk import locked
 from simbias.trial.folder import TrialFolder
@@ -184,3 +185,24 @@ def test_looking_whether_a_sweep_runs_stops_no_start(folder: Path, monkeypatch: 
     monkeypatch.setattr("simbias.sweep.running.locked", looked_at)
     write_sweep(folder, "mine", "sweep: {trials: 1, figures: {}, axes: {bias: [none]}}")
     assert main([*COMMAND, *QUICK, ONE_PROCESS, "sweep.trials=1", "tracking.pictures=false"]) == 0
+
+
+def test_a_folder_from_elsewhere_is_laid_out_once_nobody_runs_its_trial_here(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The trial is tried again at the end."""
+    holding, steps = ExitStack(), []
+
+    def elsewhere(plan: Plan) -> Result:
+        trial = TrialFolder(Path(str(plan.folder)))
+        steps.append(trial.steps())
+        holding.enter_context(trial.held()) if len(steps) == 1 else holding.close()
+        return run_plan(plan._replace(marker="not here"))
+
+    monkeypatch.setattr("simbias.sweep.running.run_plan", elsewhere)
+    monkeypatch.setattr("simbias.trial.folder.LOCK_SECONDS", 0.1)
+    monkeypatch.setattr(Sequential, "shares_disk", False)
+    write_sweep(folder, "mine", "sweep: {trials: 1, figures: {}, axes: {bias: [none]}}")
+    assert main([*COMMAND, *QUICK, ONE_PROCESS, "sweep.trials=1", "tracking.pictures=false"]) == 0
+    assert steps == [[], []]
+    assert len(finished(folder)) == 1

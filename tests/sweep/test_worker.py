@@ -6,6 +6,7 @@ from pathlib import Path
 from zipfile import ZipFile
 
 import pytest
+from errors import one_line
 from sweeping import content
 
 from simbias.config import Composition, compose
@@ -66,6 +67,11 @@ def test_a_folder_travels_where_no_disk_is_shared(plan: Plan, whole: Path, tmp_p
     assert content(folder) == content(whole)
     alone = run_plan(plan._replace(folder=None)).summary
     assert (alone.test_episodes, alone.experiments) == ("", result.summary.experiments)
+    with ZipFile(outside := BytesIO(), "w") as archive:
+        archive.writestr("../outside.txt", "")
+    with one_line("a worker sent '../outside.txt', which would lie outside"):
+        unpack(outside.getvalue(), folder)
+    assert not (tmp_path / "outside.txt").exists()
     marker = tmp_path / "marker"
     marker.touch()
     assert not run_plan(plan._replace(marker=str(marker))).packed
