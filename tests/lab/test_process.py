@@ -276,9 +276,10 @@ def test_an_experiment_does_not_wait_for_ever_for_another_one(
 def test_a_robot_is_held_for_every_user_of_the_machine(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In whatever environment: the lock lies among temporary files, and anybody may open it."""
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    for _ in range(2):
+    """In whatever environment: the lock lies where TMPDIR does not matter, and anybody may open it."""
+    monkeypatch.setattr("simbias.lab.requests.program.LOCKS", str(tmp_path))
+    for elsewhere in "one", "another":
+        monkeypatch.setattr("tempfile.tempdir", elsewhere)
         with alone(["drive", "robot"], 0.1):
             (lock,) = tmp_path.iterdir()
             assert lock.stat().st_mode & 0o777 == 0o666

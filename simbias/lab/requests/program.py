@@ -8,7 +8,6 @@ import logging
 import os
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -21,6 +20,7 @@ from simbias.lab.requests import supervisor
 
 MOST_OUTPUT = 2**26  # bytes of standard output, and of standard error
 END_SECONDS = supervisor.GRACE + 0.5  # that a supervisor needs to end its program
+LOCKS = "/tmp"  # whatever TMPDIR says, which a job, a service or a user may have of its own
 POLL_SECONDS = 0.05  # between two looks at a lock
 
 
@@ -115,7 +115,7 @@ def alone(command: Sequence[str], seconds: float) -> Iterator[IO[str] | None]:
     import fcntl
 
     name = hashlib.sha256(json.dumps(list(command)).encode()).hexdigest()[:16]
-    with _shared_file(Path(tempfile.gettempdir(), f"simbias_robot_{name}.lock")) as file:
+    with _shared_file(Path(LOCKS, f"simbias_robot_{name}.lock")) as file:
         until, waits = time.monotonic() + seconds, False
         while True:
             try:
