@@ -190,6 +190,7 @@ class Designer:
         """The errors of the true model's predictions of a noisy recording."""
         rng = np.random.default_rng(SEED)
         noisy = rollout.states + self.noise * rng.standard_normal(rollout.states.shape)
-        windows = self._posterior.windows([Rollout(noisy, rollout.inputs)])
+        recorded = Rollout(noisy, rollout.inputs, measured=noisy, sensed=True)
+        windows = self._posterior.windows([recorded])
         errors = predict([PredictionModel(self._models[0])], windows)[0] - windows.means
         return ErrorDistribution.of(errors, windows)

@@ -64,6 +64,20 @@ def test_the_limits_are_kept_on_every_draw(study: Study) -> None:
 
 
 @pytest.mark.slow
+def test_a_recording_tells_as_much_as_is_expected() -> None:
+    """In nats, that predictions which begin at smoothed states gain."""
+    study = prepared(limited())
+    designer = Designer(study, study.nominal, NOISE)
+    found = designer.design(2.0, 1, np.random.default_rng(0))
+    take, rng = Take(study.task.start_mean, found.rollout.inputs), np.random.default_rng(0)
+    recording = record(study, PredictionModel(designer._models[0]), take, NOISE, rng)
+    fit = study.identification.fit(study.nominal, [recording])
+    assert isinstance(fit, Identified)
+    gained = -np.linalg.slogdet(fit.covariance)[1] / 2
+    assert found.information == pytest.approx(gained, rel=0.2)
+
+
+@pytest.mark.slow
 def test_noise_is_in_proportion_to_motion() -> None:
     """Of each state, in whichever unit and whether a limit is declared or not."""
     noises = []
