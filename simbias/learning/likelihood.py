@@ -12,7 +12,8 @@ from simbias.core.records import Array, Transitions
 from simbias.learning.covariance import Hyperparameters, correlation, output_scale
 
 LEAST_NOISE = 1e-4  # of the signal's variance: what the compiled kernel's single precision can resolve
-LEAST_SCALE = 1e-12  # of residuals, in their units: those of a model that is exact
+ROUNDING = 2.0**-22  # of a state's deviation: smaller residuals are single precision's rounding
+LEAST_SCALE = 1e-12  # of residuals, in their units, of a state that does not move
 REACH = 10.0  # deviations of the priors; beyond, where a line search may try, distances may be all rounding
 
 
@@ -29,8 +30,9 @@ class Learning:
 def learn(medians: Hyperparameters, transitions: Transitions, learning: Learning) -> Hyperparameters:
     """The most probable length scales, signal variance and ratio of noise to signal, given the data.
 
-    All outputs share them, each over its root mean square. It is the mode that is found from the medians;
-    data that are rough may have another, more probable one. Deterministic; without data, the medians.
+    All outputs share them, each over its root mean square; those that are rounding have no say. It is the
+    mode that is found from the medians; data that are rough may have another, more probable one.
+    Deterministic; without data, the medians.
     """
     return mode(medians, transitions, learning)[0]
 
@@ -41,14 +43,16 @@ def mode(
     """Hyper-parameters as `learn` finds them, and the log of the marginal likelihood times the priors there.
 
     It is in nats, of the residuals in their units, up to a constant: models may be compared whose residuals
-    differ.
+    differ. Those that are rounding count as white noise of its size.
     """
     from scipy.optimize import Bounds, minimize  # lazily: most trials learn none
 
     N = len(transitions)
     chosen = np.linspace(0, N - 1, min(N, learning.points)).astype(int)
     scale = output_scale(transitions.residuals)
-    varying = scale > 0
+    states = transitions.inputs[:, : len(scale)]
+    rounding = np.maximum(ROUNDING * (states.std(axis=0) if N else 0.0), LEAST_SCALE)  # (n,)
+    varying = scale > rounding
     centred, inputs = medians.centred(transitions.inputs), transitions.inputs[chosen]
     far = replace(medians, linear=0.0).centred(transitions.inputs).centre * medians.length_scale
     x = medians.coordinates(inputs) / medians.input_scale - far  # else distances would be rounding
@@ -80,8 +84,9 @@ def mode(
         signal_variance=float(signal_variance),
         noise_variance=float(signal_variance * noise_ratio),
     )
-    of_units = len(y) * np.sum(np.log(np.maximum(scale, LEAST_SCALE)))
-    return hyper, -float(found.fun + of_units)
+    of_units = np.sum(np.log(np.maximum(scale, rounding)))
+    of_rounding = 0.5 * np.log(2 * np.pi * np.e) * np.sum(~varying)
+    return hyper, -float(found.fun + len(y) * (of_units + of_rounding))
 
 
 def log_marginal_likelihood(

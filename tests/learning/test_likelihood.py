@@ -17,7 +17,7 @@ import simbias
 from simbias.core.records import Array, Transitions
 from simbias.learning import likelihood
 from simbias.learning.covariance import Hyperparameters
-from simbias.learning.likelihood import LEAST_NOISE, REACH, Learning, learn, log_marginal_likelihood
+from simbias.learning.likelihood import LEAST_NOISE, REACH, Learning, learn, log_marginal_likelihood, mode
 from simbias.trial.study import Study
 
 pytestmark = pytest.mark.slow
@@ -122,6 +122,20 @@ def test_a_linear_function_leaves_the_process_what_is_not_linear() -> None:
     )
     assert 0.3 < with_line.length_scale[0] < 1.5 < without.length_scale[0]
     assert with_line.signal_variance < 1e-3 < without.signal_variance
+
+
+def test_residuals_that_are_rounding_have_no_say() -> None:
+    """In single or double precision, or zero; how small they are is no evidence for a model."""
+    data = drawn(medians(3), 60, 1)
+    alone, evidence = mode(medians(3), data, Learning())[0], []
+    x = data.inputs[:, 1:2]
+    for rounded in (x - x.astype(np.float32), x / 3 * 3 - x, 0 * x):
+        both = Transitions(data.inputs, np.hstack([data.residuals, rounded]))
+        found, log_evidence = mode(medians(3), both, Learning())
+        np.testing.assert_array_equal(found.length_scale, alone.length_scale)
+        assert found.noise_variance == alone.noise_variance
+        evidence.append(log_evidence)
+    assert np.ptp(evidence) == 0
 
 
 def test_few_samples_and_constant_outputs_are_learned_from() -> None:
