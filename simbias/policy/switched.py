@@ -76,8 +76,7 @@ class Switched(Policy):
         if other._swing_up is self._swing_up:
             return self
         other.state_size = other._swing_up.state_size + 1
-        model = nominal.without_dry_friction()
-        other._K, other._S, other._holding = _regulator(self._task, model, self._input_weight)
+        other._K, other._S, other._holding = _regulator(self._task, nominal, self._input_weight)
         return other
 
     def oddity(self, theta: Array) -> tuple[str, str] | None:
@@ -105,14 +104,14 @@ class Switched(Policy):
 
 
 def _regulator(task: Task, nominal: Nominal, input_weight: float) -> tuple[Array, Array, Array]:
-    """K (m, n), S (n, n) and u_0 (m,) of u = u_0 - K e.
+    """K (m, n), S (n, n) and u_0 (m,) of u = u_0 - K e, of the model as its joints slide.
 
     S is scaled to 1 on the largest ellipsoid where no input is cut off.
     """
     end, limit = task.horizon * task.time_step, task.input_limit
     x = np.broadcast_to(task.reference(end), (len(task.states),))
     u = holding(task, nominal, x)
-    A, B = linearization(nominal, x, u, limit)
+    A, B = linearization(nominal.without_dry_friction(), x, u, limit)
     R = input_weight * np.diag(limit**-2.0)
     try:
         K, S = linear_regulator(A, B, np.eye(len(x)), R)

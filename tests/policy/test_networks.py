@@ -163,6 +163,20 @@ def test_the_regulator_adds_what_holds_the_robot_at_the_goal() -> None:
     np.testing.assert_allclose(inputs, linear, atol=1e-4)
 
 
+def test_the_regulator_does_not_take_dry_friction_for_damping() -> None:
+    class Rubbing(WithoutWind):
+        def step(self, x: Array, u: Array) -> Array:
+            return super().step(x, u - np.tanh(1e3 * x[..., 1:]))
+
+        def without_dry_friction(self) -> WithoutWind:
+            return WithoutWind(task)
+
+    task, x = PointMass(), np.array([0.05, 0.1])
+    sliding, rubbing = (Switched(task, model(task)) for model in (WithoutWind, Rubbing))
+    theta = np.zeros(sliding.n_parameters)
+    np.testing.assert_array_equal(*(each.act(theta, x, 0.0, np.zeros(1))[0] for each in (sliding, rubbing)))
+
+
 def test_observers_know_rates_better_than_sensors(cartpole: Study, turning: Task) -> None:
     """Of a pole that falls, with measured rates that are noisy; around the turn, too."""
     rng, n = np.random.default_rng(0), 200
