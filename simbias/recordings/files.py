@@ -152,7 +152,6 @@ def draws(identified: Identified) -> pd.DataFrame:
 def models(identified: Identified) -> Iterator[tuple[str, str]]:
     """Names and texts of MJCF files: of the most probable model and of draws, if MuJoCo's."""
     values = draws(identified).to_numpy()[:MODELS]
-    # Of the prior, since gains and sizes multiply what a model has.
     drawn = {f"draw_{i}": identified.with_parameters(each) for i, each in enumerate(values)}
     for name, model in {OPTION: identified.model, **drawn}.items():
         mechanics = model.mechanics if isinstance(model, Rig) else model

@@ -84,6 +84,8 @@ def _nominal_parameters(study: Study) -> None:
         kept, expected = [each.value for each in other.parameters], f"parameters of values {others}"
         same = np.array_equal(kept, values)  # the priors, as they may stay
         equal(others if same else kept, others, "nominal.with_parameters", expected, 1e-6)
+        again, expected = other.with_parameters(others), "the same model of the same values again"
+        equal(again.step(x, u), other.step(x, u), "nominal.with_parameters", expected, 1e-6)
 
 
 @check("nominal", "a model is drawn from the generator alone")

@@ -433,6 +433,22 @@ def test_an_identified_mjcf_is_read_back(tmp_path: Path) -> None:
     np.testing.assert_allclose(again.step(x, u), changed.step(x, u), rtol=1e-4)
 
 
+def test_what_is_told_of_a_gain_or_a_size_is_over_that_of_the_file(tmp_path: Path) -> None:
+    """Also beside values that are set; in their place, or from an option, it is the same model."""
+    file, spreads = mjcf(tmp_path), {"push.gain": 0.3, "pole.size": 0.1}
+    declared = Mujoco(cart_pole(), file, values={"push.gain": 0.5, "pole.size": 1.2}, uncertainty=spreads)
+    found = Identified(declared, np.array([0.6, -0.8]), 0.01 * np.eye(2), {})
+    assert [estimate.declared for estimate in found.estimates] == [0.5, 1.2]
+    told = {estimate.name: estimate.value for estimate in found.estimates}
+    loaded = Posterior(cart_pole(), known=found.known).fit(declared, [])
+    again = found.model.with_parameters(np.array(list(told.values())))
+    x, u = np.array([[0.1, 0.2, 0.3, 0.4]]), np.array([[3.0]])
+    for model in Mujoco(cart_pole(), file, values=told), loaded, again:
+        np.testing.assert_allclose(model.step(x, u), found.step(x, u), rtol=1e-9)
+    with pytest.raises(ValueError, match=r"^uncertainty: push\.gain is set to zero$"):
+        Mujoco(cart_pole(), file, values={"push.gain": 0.0}, uncertainty=spreads)
+
+
 def test_the_file_that_the_model_is_read_from_is_not_replaced(study: Study, tmp_path: Path) -> None:
     """The posterior is of that model: of the identified one, it would apply twice. Nor is an option's own."""
     file = Path(mjcf(tmp_path)).rename(tmp_path / "identified.xml")

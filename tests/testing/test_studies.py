@@ -188,7 +188,7 @@ class Parametrised(WithoutWind):
 
     def __init__(self, task: Any, mass: float = 2.0, of_cart: float = 1.0) -> None:
         super().__init__(task, mass + 2 * of_cart)
-        self._task = task
+        self._task, self._has = task, np.array([mass, of_cart])
         self.parameters = (Parameter("mass", "kg", mass, 0.1), Parameter("of_cart", "kg", of_cart, 0.1))
 
     def with_parameters(self, values: Array) -> Nominal:
@@ -201,6 +201,16 @@ class Elsewhere(Parametrised):
     def with_parameters(self, values: Array) -> Nominal:
         declared = [parameter.value for parameter in self.parameters]
         return self if values.tolist() == declared else super().with_parameters(values)
+
+
+class Multiplies(Parametrised):
+    """Takes its values for multiples of those that it has."""
+
+    def with_parameters(self, values: Array) -> Nominal:
+        declared = np.array([parameter.value for parameter in self.parameters])
+        other = Multiplies(self._task, *self._has * values / declared)
+        other.parameters = self.parameters
+        return other
 
 
 class Twins(WithoutWind):
@@ -218,6 +228,7 @@ BROKEN: list[tuple[str, Callable[[Any], Any], str]] = [
     ("policy", Mixes, "Mixes.act: expected for several points what it gives for each"),
     ("nominal", Parametrised, "Parametrised.with_parameters: expected the model itself"),
     ("nominal", Elsewhere, "Elsewhere.with_parameters: expected parameters of values [2.01"),
+    ("nominal", Multiplies, "Multiplies.with_parameters: expected the same model of the same values again"),
     ("nominal", Twins, "Twins.parameters: expected different names, got ['mass', 'mass']"),
     ("nominal", Zero, "Zero.parameters: expected buoyancy other than 0, log-normal, got 0.0"),
     ("identification", lambda _: Fits(lambda *_: None), "Fits.fit: expected a nominal model, got None"),

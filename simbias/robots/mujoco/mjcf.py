@@ -14,7 +14,7 @@ from simbias.core import Task
 from simbias.core.messages import quote
 from simbias.core.records import Array, Indices
 from simbias.robots.mujoco.files import mjcf, read_model, source_files
-from simbias.robots.mujoco.parameters import mujoco, names_of, put_values
+from simbias.robots.mujoco.parameters import RELATIVE, mujoco, names_of, put_values
 
 NO_ACTUATORS = "no actuators: name the joints to put motors at, as `actuators: [elbow]`"  # of a URDF
 MOST_STEPS = 10_000  # of the engine in a frame
@@ -61,6 +61,7 @@ class Mechanism:
     ) -> None:
         engine = mujoco()
         self._file, self._added = file, actuators or ()
+        self.shares: dict[str, float] = {}  # sizes and gains that are set, over those of the file
         model = self.model = read_model(file, self._added)
         self._data = engine.MjData(model)  # for what follows from its parameters, in every copy
         self.source_files = source_files(file)
@@ -145,10 +146,11 @@ class Mechanism:
         return [self.model.actuator(i).name for i in np.flatnonzero(self.model.actuator_dyntype)]
 
     def with_values(self, values: Mapping[str, float]) -> Mechanism:
-        """The mechanism with other values of its parameters, by name, in their units."""
+        """The mechanism with other values of its parameters, by name, in their units or over the file's."""
         changed = copy.copy(self)
         changed.model = copy.copy(self.model)
-        put_values(changed.model, values, self._data)
+        put_values(changed.model, {n: v / self.shares.get(n, 1.0) for n, v in values.items()}, self._data)
+        changed.shares = self.shares | {n: v for n, v in values.items() if n.endswith(RELATIVE)}
         return changed
 
     def without_input_limits(self) -> Mechanism:

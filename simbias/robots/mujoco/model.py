@@ -69,7 +69,10 @@ class Mujoco(Nominal):
         self._places = Places(self._model)
         self.kernel = kernel(self._robot, self._model, self._places)
         spreads = changes(self._robot.model, uncertainty or {}, {})
-        known = values_of(self._robot.model, "*")
+        for name in spreads:
+            if self._robot.shares.get(name) == 0.0:
+                raise ValueError(f"uncertainty: {name} is set to zero")
+        known = values_of(self._robot.model, "*") | self._robot.shares
         units = {name: unit_of(self._robot.model, name) for name in known}
         self.parameters = uncertain(known, units, spreads)
 

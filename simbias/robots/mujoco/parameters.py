@@ -19,6 +19,7 @@ from simbias.core.records import Array
 Values = dict[str, Annotated[float, Field(ge=0, le=1e6)]]
 Factors = dict[str, Annotated[float, Field(gt=0, le=1e3)]]
 UNNAMED = ("", "world")  # what has no parameters
+RELATIVE = (".size", ".gain")  # endings of parameters that multiply what a compiled model has
 
 
 @cache
@@ -98,7 +99,7 @@ def _first_joints(model: Any) -> Array:
 
 
 def _put_gain(model: Any, name: str, value: float) -> None:
-    """Let an actuator give this share of the force that its file says."""
+    """Let an actuator give this share of its force."""
     actuator = model.actuator(name)
     if actuator.biastype[0] != mujoco().mjtBias.mjBIAS_AFFINE:
         actuator.gear[:] *= value
@@ -154,6 +155,8 @@ def unit_of(model: Any, name: str) -> str:
 
 def put_values(model: Any, values: Mapping[str, float], data: Any = None) -> None:
     """Set parameters of a compiled model, by name, in their units; masses first, inertias grow with them.
+
+    Those that are `RELATIVE` multiply what it has.
 
     The engine computes what follows from them in data of a model of the same sizes; new data take 0.4 ms.
     """
