@@ -250,6 +250,18 @@ def test_a_larger_body_does_not_depend_on_where_its_origin_is(body: str) -> None
     assert places[0][1, 2] == pytest.approx({"cart": 0.15, "pole": 0.1}[body])
 
 
+def test_friction_of_a_ball_joint_is_about_all_axes() -> None:
+    """So are damping and armature; of a geom's three numbers, the first one alone is sliding friction."""
+    model = mujoco.MjModel.from_xml_string("""
+      <mujoco><worldbody><body><joint name="hip" type="ball"/><geom name="foot" size="0.1"/></body>
+      </worldbody></mujoco>""")
+    of_hip = {"hip.damping": 0.5, "hip.friction": 0.2, "hip.armature": 0.1}
+    files.put_values(model, of_hip | {"foot.contact_friction": 0.7})
+    for field, value in (model.dof_damping, 0.5), (model.dof_frictionloss, 0.2), (model.dof_armature, 0.1):
+        np.testing.assert_array_equal(field, value)
+    np.testing.assert_allclose(model.geom_friction[0], [0.7, 0.005, 0.0001])
+
+
 def test_factors_multiply_what_is_set_and_each_other() -> None:
     model = mujoco.MjModel.from_xml_string(LIFT)
     factors = {"*.mass": 1.5, "body.mass": 2.0}

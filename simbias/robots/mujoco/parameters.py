@@ -40,13 +40,13 @@ class Quantity(NamedTuple):
 
 
 def _array(element: str, unit: str, field: str) -> Quantity:
-    """A quantity that is the first number of a field, as of `model.joint("hinge").damping`."""
+    """A quantity in a field, as of `model.joint("hinge").damping`: of all axes of a joint, else its first."""
 
     def values(model: Any, name: str) -> Array:
         return getattr(getattr(model, element)(name), field)
 
     def put(model: Any, name: str, value: float) -> None:
-        values(model, name)[0] = value
+        values(model, name)[: None if element == "joint" else 1] = value
 
     return Quantity(element, unit, lambda model, name: float(values(model, name)[0]), put)
 
