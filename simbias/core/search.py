@@ -129,8 +129,8 @@ class Optimizer(Budget, ABC):
         It ends at the latest with the budget. Only a search whose best cost is below `target_cost` may end
         earlier because it converges: among policies that fail, costs of Eq. 8 lie on plateaus that look like
         convergence. The candidates (p,) are evaluated first, and a search that starts from a point starts
-        from the best. An objective's first stage is searched before, until below the target, with a budget of
-        its own, and its best point is one more candidate.
+        from the best. An objective's first stage is searched before, until below the target if there is one,
+        with a budget of its own, and its best point is one more candidate.
 
         Raises
         ------
@@ -140,7 +140,8 @@ class Optimizer(Budget, ABC):
         first = list(candidates)  # before the time limit counts: they may take a while to make
         easier, spent = as_objective(objective).first_stage, 0
         if easier is not None:
-            first_stage = Evaluations(easier, lower, upper, self, target_cost, ends_at_target=True)
+            ends = target_cost < np.inf
+            first_stage = Evaluations(easier, lower, upper, self, target_cost, ends_at_target=ends)
             begun = self._minimum(first_stage, rng, first)
             first, spent = [*first, begun.parameters], begun.evaluations
         optimum = self._minimum(Evaluations(objective, lower, upper, self, target_cost), rng, first)

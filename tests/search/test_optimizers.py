@@ -380,7 +380,7 @@ class Funnel(Objective):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["cma", "hybrid"])
 def test_a_search_begins_where_its_first_stage_ended(name: str) -> None:
-    """The first stage ends at its first cost below the target, which is within the funnel."""
+    """It ended at its first cost below the target, which is within the funnel, or as any search does."""
     assert minimize(make(name), Funnel(1.5), *BOX, target_cost=0.1).cost == 1.0
     wide = Funnel(15.0)
     funnel = Funnel(1.5, wide)
@@ -388,3 +388,4 @@ def test_a_search_begins_where_its_first_stage_ended(name: str) -> None:
     optimum = minimize(make(name, **near), funnel, *BOX, target_cost=0.1)
     assert optimum.cost < 1e-3
     assert 0 < optimum.evaluations - funnel.asked <= wide.asked  # the last generation is asked for together
+    assert minimize(make(name, **near), Funnel(1.5, Funnel(15.0)), *BOX).cost < 1e-3
