@@ -64,7 +64,8 @@ def recover(
     assert isinstance(posterior, Posterior)
     prior = posterior.fit(study.nominal, [])
     known = prior if isinstance(prior, Identified) else Identified.of_prior(prior)
-    rng, parameters = np.random.default_rng(study.seed), known.parameters
+    (rng,) = np.random.default_rng(study.seed).spawn(1)  # the search for the mode has the stream itself
+    parameters = known.parameters
     own = np.array([parameter.of_recording for parameter in parameters], bool)
     true, modes, deviations, found = [], [], [], []
     for index in range(robots):

@@ -196,6 +196,7 @@ def test_robots_are_drawn_from_what_is_known() -> None:
 
 
 def test_pieces_of_a_recording_have_the_same_zero(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a robot at which no search for the mode begins."""
     study, made = limited("+identification.sensors={pos2: {zero: 0.1}}"), list[float]()
 
     def recorded(_: Study, model: PredictionModel, *others: object) -> Rollout:
@@ -207,6 +208,9 @@ def test_pieces_of_a_recording_have_the_same_zero(monkeypatch: pytest.MonkeyPatc
     with pytest.raises(ConfigError, match="no robot that was drawn"):
         recover(study, takes, NOISE, robots=1)
     assert made[0] == made[2] != made[1]
+    rig = study.identification.prior(study.nominal)  # type: ignore[attr-defined]
+    start = values_at(rig.parameters, np.random.default_rng(0).standard_normal(len(rig.parameters)))
+    assert made[0] != rig.with_parameters(start).step(np.ones(4), np.zeros(2))[2]
 
 
 def test_recordings_are_measured_when_the_lab_measures(study: Study) -> None:
