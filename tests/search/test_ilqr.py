@@ -13,10 +13,11 @@ from scipy.linalg import solve_discrete_are
 
 import simbias
 from simbias.config.components import construct
-from simbias.core import FittedBias, Task
+from simbias.core import FittedBias, SlowWarning, Task
 from simbias.core.errors import ConfigError
 from simbias.core.records import Transitions
 from simbias.learning.bias.none import ConstantBias, NoBias
+from simbias.policy.trajectory import Trajectory
 from simbias.search.goal import goal_along
 from simbias.search.optimizer import ilqr
 from simbias.search.optimizer.following import STIFFER, Following
@@ -77,6 +78,13 @@ def test_a_cart_pole_is_swung_up_and_the_policy_does_it_again(
         assert cartpole.passes(cartpole.simulate(theta, start=start)), seed
     last = theta.reshape(-1, 9)[-1]
     assert cartpole.task.error(last[:4], 4.0) == pytest.approx(np.zeros(4), abs=1e-3)
+    assert shooting.along_knots(plan, cartpole.policy.times).cost < 1.1 * plan.cost
+    monkeypatch.setattr(Shooting, "plan", lambda self, rng: plan)
+    few = replace(model, policy=Trajectory(cartpole.task, model.nominal, 11))
+    with pytest.warns(
+        SlowWarning, match=r"followed by policy.knots=11 it .*; policy.knots=101 is one a frame"
+    ):
+        next(trajectory_candidates([few], 1))
 
 
 ELBOW, SHOULDER = {"friction_2": 0.12}, {"friction_1": 0.0127}  # N m, of arctan: pi/2 times as much

@@ -78,13 +78,13 @@ class Following:
                 x[-stays:], u[-stays:] = x_rest, u_rest
         if policy.sliding:
             u = u + self._compensation(x, u, ahead)
-        frames = policy.times / task.time_step
+        frames, whole = policy.times / task.time_step, np.arange(float(len(x)))
         for weight in input_weights:
             gains, beside = self._gains(M, Q, weight, final), np.zeros((len(x), self._m, self._n))
             if policy.sliding and settled < len(x):
                 beside[settled:] = self._for_friction(x_rest, u_rest, weight)
-            K, K_0 = (_at(frames + ahead, each.reshape(len(x), -1)) for each in (gains, beside))
-            yield policy.following(_at(frames + ahead, x), _at(frames, u), K, K_0)
+            K, K_0 = (linear(frames + ahead, whole, each.reshape(len(x), -1)) for each in (gains, beside))
+            yield policy.following(linear(frames + ahead, whole, x), linear(frames, whole, u), K, K_0)
 
     def gains(self, states: Array, inputs: Array, weight: float, held: Array | float = 0.0) -> Array:
         """K_t (T+1, m, n) along states (T+1, n) and inputs (T, m) that begin and end anywhere."""
@@ -176,6 +176,6 @@ class Following:
         return (np.linalg.pinv(B) @ lost[..., None])[..., 0]
 
 
-def _at(frames: Array, rows: Array) -> Array:
-    """Rows (T+1, c) at frames (K,), linear between them."""
-    return np.stack([np.interp(frames, np.arange(len(rows)), column) for column in rows.T], axis=-1)
+def linear(frames: Array, given: Array, rows: Array) -> Array:
+    """Rows (K, c) at frames (K,), linear between those (k, c) at given frames (k,)."""
+    return np.stack([np.interp(frames, given, column) for column in rows.T], axis=-1)

@@ -8,6 +8,7 @@ with a knot in every frame, so that limits, delays and failures are the model's.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from copy import copy
 from dataclasses import replace
@@ -16,13 +17,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from simbias.core import GoalWeights, Model, Policy, Task
+from simbias.core import GoalWeights, Model, Policy, SlowWarning, Task
 from simbias.core.errors import ConfigError
 from simbias.core.records import Array
 from simbias.policy.trajectory import Trajectory
 from simbias.search.goal import goal_along, moves
 from simbias.search.lqr import rest
-from simbias.search.optimizer.following import STEP, Following, Plan
+from simbias.search.optimizer.following import STEP, Following, Plan, linear
 from simbias.search.optimizer.riccati import Quadratic, beside, solved
 from simbias.simulation.closed_loop import simulator
 from simbias.simulation.linearization import derivatives
@@ -41,6 +42,7 @@ MARGINS = 0.5, 0.2, 0.05  # of what the start has left of a criterion: nearer to
 SAVED = 0.9  # times the cost, below which a plan may come that near
 KEEPING = 10.0 ** np.arange(2, 6)  # times the mean cost of resting: that of using up all of it and more
 PIECE, AMPLITUDE = 0.3, 0.6  # s, and share of the limits, of the random inputs that it begins with
+DEARER = 1.5  # times a plan's cost: that of following it by its knots is told
 SEED = 0  # of these inputs: the same model has the same trajectories
 
 
@@ -77,6 +79,8 @@ def trajectory_candidates(
         found = [plan for plan in map(shooting.plan, rngs) if plan is not None]
         if found:
             best = min(found, key=lambda plan: plan.cost)
+            followed = shooting.along_knots(best, policy.times)
+            _warn_of_few_knots(best, followed, len(policy.times), models[0].task.horizon)
             yield from shooting.following.policies(best, policy, GAIN_WEIGHTS)
             return
     limits = zip(task.inputs, *task.input_bounds, strict=True)
@@ -95,6 +99,17 @@ def follower(task: Task, policy: Policy) -> Trajectory:
     if policy.resting and moves(goal_along(task)):
         raise ConfigError("policy.resting", "the task's goal moves; a plan rests at one that does not")
     return policy
+
+
+def _warn_of_few_knots(plan: Plan, followed: Plan | None, knots: int, frames: int) -> None:
+    """Warn of a plan that knots, between which its policy is linear, do not represent."""
+    if followed is None or followed.cost > DEARER * plan.cost:
+        then = "fails" if followed is None else f"costs {followed.cost:.3g}"
+        message = (
+            f"a plan costs {plan.cost:.3g} in simulation, but followed by policy.knots={knots} it {then}; "
+            f"policy.knots={frames + 1} is one a frame"
+        )
+        warnings.warn(message, SlowWarning, stacklevel=3)
 
 
 def default_weights(task: Task) -> GoalWeights:
@@ -168,6 +183,19 @@ class Shooting:
         if other is None or plan is None:
             return plan or other
         return min(plan, other, key=lambda each: each.cost)
+
+    def along_knots(self, plan: Plan, times: Array) -> Plan | None:
+        """The best rollout that follows a plan by its values at times (K,) alone; None if all fail."""
+        knots, frames = times / self._task.time_step, np.arange(self._T + 1.0)
+        found = list[Plan]()
+        for weight in GAIN_WEIGHTS:
+            K = self.following.gains(plan.states, plan.inputs, weight, plan.held)
+            u = np.concatenate([plan.inputs, plan.inputs[-1:]])
+            whole = plan.states, u, K.reshape(len(K), -1)
+            x, u, K = (linear(frames, knots, linear(knots, frames, rows)) for rows in whole)
+            rollout = self._best(x, u[None, :-1], K[:-1].reshape(self._T, self._m, self._n))
+            found += [] if rollout is None else [rollout]
+        return min(found, key=lambda each: each.cost, default=None)
 
     def _from_rest(self) -> Plan | None:
         """The trajectory at the end of steps from rest."""
