@@ -10,6 +10,7 @@ from figures import lines
 import simbias
 from simbias.core import Task
 from simbias.core.records import Array, Disturbance, Rollout
+from simbias.cost.declared import Declared
 from simbias.pictures import NoPictureError, following
 from simbias.pictures.elements.style import HARDWARE
 from simbias.policy.trajectory import Trajectory
@@ -116,6 +117,9 @@ def test_a_policy_that_does_not_swing_up_is_told_why(monkeypatch: pytest.MonkeyP
     assert f"{missed}, its inputs at their limits in 0% of" in remark.words
     *_, remark = of_prediction(study.policy.bounds[1], study.first_model(), study)
     assert "below which its regulator acts, is at its upper bound" in remark.words
+    rooted = replace(study, cost=Declared(study.task, 1.0, 1.0, "sqrt(3 - angle)"))
+    *_, remark = of_prediction(np.zeros(study.policy.n_parameters), study.first_model(), rooted)
+    assert remark.words.startswith("cost.running is no number at t = 0.02 s of this policy's simulation")
     rollout = study.simulate(np.zeros(study.policy.n_parameters))
     assert of_experiments((rollout,), study) == [  # on hardware it is told likewise
         "1 of 1 experiment missed the goal: in its last 1 s upright is 3.14 rad, not below 0.2"

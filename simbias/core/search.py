@@ -76,6 +76,10 @@ class Cost(ABC):
         lost = 0 if rollout.failed_at is None else self.horizon - rollout.failed_at
         return float(self.of_totals(np.array(totals), np.array(lost)))
 
+    def oddity(self, rollout: Rollout) -> tuple[str, str] | None:
+        """An oddity of the cost of a rollout, in few words and in a sentence; None if there is none."""
+        return None
+
     def with_horizon(self, horizon: int) -> Self:
         """The cost of rollouts of at most `horizon` frames."""
         if not self.reductions:

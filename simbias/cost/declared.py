@@ -8,9 +8,10 @@ import numpy as np
 
 from simbias.core import Cost, Task
 from simbias.core.ranges import Coordinate, Positive
-from simbias.core.records import Array, Indices
+from simbias.core.records import Array, Indices, Rollout
 from simbias.simulation.compiler import Expression, Expressions
 
+NAMES = "running", "peak", "final"  # of the expressions
 LARGEST = 1e100  # of a sum, where a simulated state grows beyond all numbers; of what is no number elsewhere
 
 
@@ -45,7 +46,7 @@ class Declared(Cost):
         self._task, self._failure_weight = task, failure_weight
         quantities = [each.name for each in (*task.states, *task.inputs)]
         names = [*quantities, "t", *(f"{goal.name}_error" for goal in task.goals)]
-        texts = {"running": running, "peak": peak, "final": final}
+        texts = dict(zip(NAMES, (running, peak, final), strict=True))
         self._expressions = Expressions(texts, names, constants)
 
     def terms(self, x_next: Array, u: Array, t: Any) -> Array:
@@ -57,6 +58,18 @@ class Declared(Cost):
         # In every frame, also of constants; no number in a frame that ends beyond all numbers.
         each = 0.0 * (t + np.sum(x_next, axis=-1))
         return np.stack([running + each, peak + each, ends * final + each], axis=-1)
+
+    def oddity(self, rollout: Rollout) -> tuple[str, str] | None:
+        """The first expression that is no number along a rollout, and when."""
+        t = self.time_step * np.arange(1, rollout.frames + 1)
+        with np.errstate(over="ignore", invalid="ignore"):
+            terms = self.terms(rollout.states[1:], rollout.inputs, t)
+        for frame, column in np.argwhere(terms >= LARGEST)[:1]:
+            return "a cost is no number", (
+                f"cost.{NAMES[column]} is no number at t = {t[frame]:.3g} s of this policy's simulation, and "
+                f"counts as {LARGEST:g}: every policy may cost the same"
+            )
+        return None
 
     def of_totals(self, totals: Array, lost: Indices) -> Array:
         """Z (...) of sums and peaks (..., 3) and the frames (...) lost by failure."""

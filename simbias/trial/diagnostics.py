@@ -155,14 +155,15 @@ def of_prediction(theta: Array, model: Model | None, study: Study) -> Iterator[R
     """Oddities of a policy theta (p,) on the model that it was made on, before hardware is spent on it."""
     if model is None:
         return
+    rollout = _simulated_on(model, theta, model.task.start_mean, study.cost)
     if model.task.says_success:
-        rollout = _simulated_on(model, theta, model.task.start_mean, study.cost)
         yield from of_goal(rollout, model.task)
     else:
         yield from of_starts(theta, model, study.cost)
     yield from of_model(theta, model, study.cost)
-    if (oddity := model.policy.oddity(theta)) is not None:
-        yield Remark(*oddity)
+    for oddity in model.policy.oddity(theta), study.cost.oddity(rollout):
+        if oddity is not None:
+            yield Remark(*oddity)
     error = model.bias.diagnostics.get("mean_error", 0.0)
     if error > ROUGH:
         yield Remark(

@@ -229,5 +229,11 @@ def test_what_is_not_finite_costs_a_finite_number(study: Study) -> None:
         found = [cost.of(Rollout(x, np.zeros((1, 1)), failed_at=1, failure="distance")) for cost in made]
         assert np.isfinite(found).all(), far
         assert task is moving or study.cost.max_cost < found[0]
+    rooted, x = Declared(moving, 9.0, 10.0, peak="sqrt(angle)"), np.zeros((4, 4))
+    assert rooted.oddity(Rollout(x, np.zeros((3, 1)))) is None
+    x[2, 1] = -0.1
+    oddity = rooted.oddity(Rollout(x, np.zeros((3, 1))))
+    assert oddity is not None
+    assert oddity[1].startswith("cost.peak is no number at t = 0.08 s")
     for reduction in REDUCTIONS.values():
         assert eval(reduction.format("total", "term"), {"total": 2.5, "term": np.nan}) == 2.5
