@@ -20,6 +20,7 @@ from simbias.core.files import FOLDERS
 from simbias.core.messages import quote, with_type, words
 
 TYPOS = ("extra_forbidden", "unexpected_keyword_argument")  # pydantic's words for an unknown key
+ALTERNATIVE = re.compile(r"(list|dict)\[.+\]|constrained-\w+")  # of types among several: no key
 NEAR = 0.8  # difflib's ratio, from which a key is another one, mistyped
 
 PROVIDED = frozenset({"task", "hardware_from"})  # what constructors are given beside their config,
@@ -168,13 +169,16 @@ def _check_numbers(given: Any, converted: Any, key: str) -> None:
 
 def _path(key: str, error: Mapping[str, Any]) -> str:
     """The full name of the key that pydantic's error is about."""
-    return ".".join(str(part) for part in ((key,) if key else ()) + error["loc"])
+    names = (str(part) for part in error["loc"])
+    return ".".join([key] * bool(key) + [name for name in names if not ALTERNATIVE.fullmatch(name)])
 
 
 def _in_one_line(error: ValidationError, key: str, known: Collection[str]) -> ConfigError:
     """The first of pydantic's errors, as one line that names the key; of typos in known names, the name."""
     errors = error.errors(include_url=False)
-    first = next((each for each in errors if each["type"] in TYPOS), errors[0])
+    of_one = [each for each in errors if each["loc"][:1] == errors[0]["loc"][:1]]
+    deepest = max(of_one, key=lambda each: len(each["loc"]))  # of the alternative that was meant
+    first = next((each for each in errors if each["type"] in TYPOS), deepest)
     typos = [_path(key, each) for each in errors if each["type"] in TYPOS]
     where = _path(key, first)
     if first["type"] in TYPOS:

@@ -26,6 +26,7 @@ BAD = {  # by override: its key, and what is said of it
     "bias.d=abc": ("bias.d", "must be a valid number"),
     "++nominal.uncertainty.masses=true": ("nominal.uncertainty.masses", "must be a number, got true"),
     "bias.d=-1": ("bias.d", "must be greater than or equal to 0, got -1"),
+    "cost.state_weights=[-1]": ("cost.state_weights.0", "must be greater than or equal to 0, got -1"),
     "bias.dd=1": ("bias.dd", "no such key; --cfg job shows them all, --help the groups; +bias.dd=... sets "),
     "+task.horizion=100": ("task.horizion", "no such key; is it horizon?"),
     "+bias.dd=1": ("bias.dd", "no such key; if a preset sets it, ~bias.dd leaves it out"),

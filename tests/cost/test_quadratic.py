@@ -216,6 +216,8 @@ def test_what_it_does_not_know_is_refused() -> None:
     ):
         with pytest.raises(ValueError, match=f"widths: {words}"):
             Saturating(task, widths, 0.5)
+    with pytest.raises(ValueError, match=r"^cost\.widths\.angle: must be greater than or equal to 0"):
+        simbias.load(["preset=pendulum_swingup", "tracking=none", "cost.widths.angle=-1"])
     with pytest.raises(ValueError, match="running: 'power'"):
         Declared(task, 1.0, 1.0, running="power")
 
