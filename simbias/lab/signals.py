@@ -16,7 +16,7 @@ from simbias.core import HardwareError
 from simbias.core.extras import library
 from simbias.core.messages import words
 from simbias.core.records import Array
-from simbias.lab.table import read_table
+from simbias.core.table import read_table
 
 NAME = re.compile(r"(?P<base>.*?)\s*[\[(](?P<unit>[^\])]+)[\])]$")  # q1 [deg], q1 (deg)
 FIELD = re.compile(

@@ -14,9 +14,9 @@ from pendulum import experiment, pendulum
 from simbias.core import HardwareError
 from simbias.core.errors import ConfigError
 from simbias.core.records import Rollout
+from simbias.core.table import read_table
 from simbias.lab.recorded import ENDS, Recorded
 from simbias.lab.recording import Reader, Recording
-from simbias.lab.table import read_table
 from simbias.lab.units import factor
 from simbias.trial.observer import Observer
 from simbias.trial.study import Study
@@ -483,7 +483,7 @@ def test_what_cannot_be_read_is_told(study: Study, read: Read, tmp_path: Path) -
 
 
 def test_a_small_file_may_not_hold_more_than_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("simbias.lab.table.LARGEST", 2**20)
+    monkeypatch.setattr("simbias.core.table.LARGEST", 2**20)
     file = tmp_path / "zeros.csv.gz"
     file.write_bytes(gzip.compress(bytes(2**21)))
     assert file.stat().st_size < 2**14

@@ -134,7 +134,7 @@ PULSES = {"count": 3, "amplitude": [20.0, 50.0], "seconds": [0.05, 0.1]}
 
 
 def table(folder: Path, text: str) -> str:
-    (folder / "reference.csv").write_text(text)
+    (folder / "reference.csv").write_text(text, encoding="utf-8")
     return str(folder / "reference.csv")
 
 
@@ -179,11 +179,12 @@ def test_a_frame_may_take_minutes() -> None:
 
 
 def test_a_file_is_linear_between_its_rows_blank_lines_or_not_and_then_stays(tmp_path: Path) -> None:
-    file = table(tmp_path, "\nt,position\n0,0.1\n2,0.3\n3,0.2\n5,0.1\n\n")
-    task = declared(reference=file)
-    t = np.linspace(0, 7, 50)
+    text, t = "\nt,position\n0,0.1\n2,0.3\n3,0.2\n5,0.1\n\n", np.linspace(0, 7, 50)
     expected = np.interp(t, [0, 2, 3, 5], [0.1, 0.3, 0.2, 0.1])
-    np.testing.assert_allclose(task.reference(t)[:, 0], expected, atol=1e-12)
+    as_recordings = "\ufeff# made by hand\n" + text.strip().replace(",", "; ").replace(".", ",")
+    for rows in (text, as_recordings):
+        task = declared(reference=table(tmp_path, rows))
+        np.testing.assert_allclose(task.reference(t)[:, 0], expected, atol=1e-12)
 
 
 def test_success_is_the_tasks_and_holds_at_the_end() -> None:
@@ -308,7 +309,10 @@ def test_what_cannot_be_meant_is_refused() -> None:
             {"pushes": {"force": PULSES | {"seconds": [0.001, 0.1]}}},
             r"pushes.force.seconds: expected at least half a frame \(0.02 s\), got 0.001",
         ),
-        ({"reference": "none.csv"}, "reference 'none.csv': .*No such file.* neither in .* --config-dir"),
+        (
+            {"reference": "none.csv"},
+            "reference none.csv: .*No such file.* neither in .* --config-dir",
+        ),
     ]
     for changes, message in cases:
         with one_line(message):
@@ -323,10 +327,10 @@ def test_a_reference_that_cannot_be_meant_is_refused(tmp_path: Path) -> None:
             "goal.position jumps after t = 0.96 s: by 0.605 m in 2 frames",
         ),
         ("t,position\n0,0\n1,0\n1.001,0.3\n2,0.3\n2.001,0.6\n5,0.6\n", "position jumps after t = 0.96 s"),
-        ("t,position\n0,0\n\n5,\n", "row 4, column position: expected a number, got ''"),
-        ("t,position\n0,0\n5,0,1\n", "row 3: expected 2 cells, got 3"),
-        ("time,position\n0,0\n5,1\n", "with commas between, got the columns 'time,position'"),
-        ("t;position\n0;0\n5;1\n", "with commas between, got the columns 't;position'"),
+        ("t,position\n0,0\n\n5,\n", "row 4, column position: expected a finite number, got ''"),
+        ("t,position\n0,0\n5,0,1\n", "row 3: expected 2 cells as in row 1, got 3"),
+        ("time,position\n0,0\n5,1\n", "got the columns 'time,position'"),
+        ("t,position\n0,0\n5,nan\n", "row 3, column position: expected a finite number"),
         ("t,position,position\n0,0,0\n5,1,1\n", "got the columns 't,position,position'"),
         ("t,position\n0,0\n0,1\n5,1\n", "t has to grow from 0"),
     ):

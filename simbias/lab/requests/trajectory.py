@@ -14,11 +14,11 @@ from simbias.core import HardwareError, Quantity, Task, wrapped
 from simbias.core.messages import quote
 from simbias.core.records import Array, Rollout
 from simbias.core.robot import unwound
+from simbias.core.table import POINT, Table, read_table
 from simbias.lab.checks import START_DEVIATIONS, start_tolerance
 from simbias.lab.rates import check_rates, rates_of
 from simbias.lab.requests.request import ExperimentRequest
 from simbias.lab.safety import without_limits
-from simbias.lab.table import POINT, Table, read_table
 
 TIME, FAILURE = Quantity("time", "s"), "failure"  # columns beside states and inputs
 NO_FAILURE = {"", "-", "none", "nan", "na", "n/a", "null", "no", "ok"}  # how tools write that nothing failed

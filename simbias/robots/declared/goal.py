@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -10,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from simbias.core import Criterion, Quantity, SlowWarning, wrapped
+from simbias.core import Criterion, HardwareError, Quantity, SlowWarning, wrapped
 from simbias.core.files import sought
 from simbias.core.messages import quote
 from simbias.core.records import Array
+from simbias.core.table import read_table
 from simbias.robots.declared.declarations import Failure, criterion_of, measure_of
 from simbias.simulation.compiler import Expressions
 
@@ -79,24 +79,23 @@ class Reference:
 def _rows(file: str, seconds: float) -> tuple[tuple[str, ...], Array, Array]:
     """The names (g), times (k,) and values (k, g) of a reference's file."""
     try:
-        with Path(file).open(newline="", encoding="utf-8") as stream:
-            (_, header), *rows = [(i, row) for i, row in enumerate(csv.reader(stream), 1) if any(row)]
-    except (OSError, ValueError) as error:
-        where = sought(file) if isinstance(error, FileNotFoundError) else ""
-        raise ValueError(f"reference {quote(file)}: {error}{where}") from error
-    if header[0] != TIME or len(header) < 2 or len(set(header)) < len(header) or not rows:
+        table = read_table(Path(file))
+        header, numbers = table.names, table.numbers(range(len(table.names)))
+    except HardwareError as error:
+        where = sought(file) if isinstance(error.__cause__, FileNotFoundError) else ""
+        raise ValueError(f"reference {error}{where}") from error
+    if header[0] != TIME or len(header) < 2 or len(set(header)) < len(header):
         raise ValueError(
-            f"reference {quote(file)}: expected rows of t and of the goal's quantities, with commas between, "
+            f"reference {quote(file)}: expected rows of t and of the goal's quantities, "
             f"got the columns {quote(','.join(header))}"
         )
-    table = np.array([_numbers(f"reference {quote(file)}: row {i}", header, row) for i, row in rows])
-    times, values = table[:, 0], table[:, 1:]
+    times, values = numbers[:, 0], numbers[:, 1:]
     if len(times) > MOST_ROWS:
         raise ValueError(
             f"reference {quote(file)}: {len(times)} rows, {MOST_ROWS} at most: it is linear between them"
         )
-    if times[0] > 0 or (np.diff(times) <= 0).any() or not np.isfinite(table).all():
-        raise ValueError(f"reference {quote(file)}: t has to grow from 0, and all have to be finite numbers")
+    if times[0] > 0 or (np.diff(times) <= 0).any():
+        raise ValueError(f"reference {quote(file)}: t has to grow from 0")
     if times[-1] < seconds - 1e-9:
         raise ValueError(f"reference {quote(file)} ends at {times[-1]:g} s; an episode takes {seconds:g} s")
     if times[-1] > LONG * seconds:
@@ -106,19 +105,7 @@ def _rows(file: str, seconds: float) -> tuple[tuple[str, ...], Array, Array]:
             SlowWarning,
             stacklevel=4,
         )
-    return tuple(header[1:]), times, values
-
-
-def _numbers(where: str, header: Sequence[str], row: Sequence[str]) -> list[float]:
-    if len(row) != len(header):
-        raise ValueError(f"{where}: expected {len(header)} cells, got {len(row)}")
-    numbers = []
-    for name, cell in zip(header, row, strict=True):
-        try:
-            numbers.append(float(cell))
-        except ValueError:
-            raise ValueError(f"{where}, column {name}: expected a number, got {quote(cell)}") from None
-    return numbers
+    return header[1:], times, values
 
 
 def check_within(reference: Reference, criteria: Sequence[Criterion], seconds: float) -> None:

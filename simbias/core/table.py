@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from simbias.core import HardwareError
 from simbias.core.messages import quote, words
 from simbias.core.records import Array
+from simbias.core.robot import HardwareError
 
 # float() would also take 1_2, digits of other scripts, and words such as nan
 POINT, COMMA = (
