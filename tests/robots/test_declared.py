@@ -1,5 +1,6 @@
 """A declared task: its expressions, goals, success, starts and pushes, and what it may not say."""
 
+import warnings
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -148,6 +149,9 @@ def test_without_a_goal_all_states_are_to_be_zero() -> None:
 @pytest.mark.parametrize(("unit", "half"), [("rad", np.pi), ("deg", 180.0), ("rev", 0.5)])
 def test_a_goal_moves_and_an_angle_wraps_by_a_turn_in_its_unit(unit: str, half: float) -> None:
     states = CARTPOLE["states"] | {"angle": {"unit": unit, "wraps": True}}
+    asked = pytest.warns(SlowWarning, match=r"angle is 180 rad, more than 2 turns: is it in degrees\?")
+    with asked if unit == "rad" else warnings.catch_warnings(action="error"):
+        declared(states=states, failure=None, goal={"angle": "180.0"})
     task = declared(states=states, failure=None, goal={"position": "0.3 * sin(2 * t)", "angle": str(half)})
     x, t = np.array([[0.5, -0.9 * half, 0, 0], [0.5, 2.8 * half, 0, 0]]), np.array([0.2, 1.0])
     expected = np.stack([0.5 - 0.3 * np.sin(2 * t), [0.1 * half, -0.2 * half]], axis=-1)

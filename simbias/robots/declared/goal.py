@@ -20,6 +20,7 @@ from simbias.simulation.compiler import Expressions
 TIME = "t"  # the name of the time in expressions, and of its column
 MOST_ROWS = 400  # of a file: each is an operation of the compiled loop
 LONG = 100.0  # episodes: a file that goes on for longer may have its time in ms
+TURNS = 2  # an angle that goes beyond may be in degrees
 BRIEF = 2  # frames, within which a jump happens
 JUMP = 0.1  # of the range, at least, and
 STEEP = 4.0  # times as much as moves in as many frames before or after
@@ -119,6 +120,16 @@ def check_within(reference: Reference, criteria: Sequence[Criterion], seconds: f
                     f"goal.{name} is {column[beyond][0]:.3g} at t = {times[beyond][0]:.3g} s, "
                     f"where the task fails: {criterion.name}"
                 )
+
+
+def warn_of_degrees(reference: Reference, goals: Sequence[Quantity], seconds: float) -> None:
+    """Warn of an angle in rad that wraps and whose goal is turns away from zero."""
+    times = np.linspace(0.0, seconds, 1000)
+    largest = np.broadcast_to(np.abs(reference(times)), (len(times), len(goals))).max(axis=0)
+    for goal, value in zip(goals, largest, strict=True):
+        if goal.wraps and goal.unit == "rad" and value > TURNS * goal.turn:
+            words = f"goal.{goal.name} is {value:.4g} rad, more than {TURNS} turns: is it in degrees?"
+            warnings.warn(words, SlowWarning, stacklevel=4)
 
 
 def check_jumps(reference: Reference, goals: Sequence[Quantity], time_step: float) -> None:

@@ -25,7 +25,14 @@ from simbias.robots.declared.declarations import (
     measure_of,
     push_of,
 )
-from simbias.robots.declared.goal import Reference, Success, check_jumps, check_within, success_names
+from simbias.robots.declared.goal import (
+    Reference,
+    Success,
+    check_jumps,
+    check_within,
+    success_names,
+    warn_of_degrees,
+)
 from simbias.robots.declared.starts import Starts, State
 from simbias.robots.mujoco.figure import Figure, FigureFile
 from simbias.robots.mujoco.rendering import Image
@@ -197,6 +204,7 @@ class Declared(Task):
         aimed = [known[name] for name in self._reference.names]
         self._aimed, self._goals = [index for index, _ in aimed], tuple(quantity for _, quantity in aimed)
         check_within(self._reference, self.criteria, self.horizon * self.time_step)
+        warn_of_degrees(self._reference, self._goals, self.horizon * self.time_step)
         check_jumps(self._reference, self._goals, self.time_step)
 
     def _set_success(
