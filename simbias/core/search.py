@@ -100,6 +100,7 @@ class Evaluation(ABC):
 
     rollouts: int = 1  # of each policy
     horizon: int | None = None  # frames of its rollouts; None is the task's
+    draws_nominal: bool = False  # whether each of them is on a drawn nominal model
 
     @abstractmethod
     def objective(self, model: Model, cost: Cost, rng: np.random.Generator) -> Objective:

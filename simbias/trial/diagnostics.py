@@ -151,6 +151,19 @@ def of_model(theta: Array, model: Model, cost: Cost) -> Iterator[Remark]:
             return
 
 
+def of_draws(rollout: Rollout, model: Model, study: Study) -> Iterator[Remark]:
+    """Whether a search adds a residual to nominal models that it was not learned of."""
+    drawn = study.evaluation.draws_nominal and model.nominal.parameters
+    if not drawn or isinstance(model.nominal, Identified):  # of which draws lie about the residual's own
+        return
+    if model.bias.correction(rollout.states[:-1], rollout.inputs).any():
+        yield Remark(
+            "a residual is added to drawn models",
+            "the search draws nominal models and adds to each the residual of the one that is not drawn, so "
+            "that what differs counts twice: evaluation=robust, or identification=posterior",
+        )
+
+
 def of_prediction(theta: Array, model: Model | None, study: Study) -> Iterator[Remark]:
     """Oddities of a policy theta (p,) on the model that it was made on, before hardware is spent on it."""
     if model is None:
@@ -161,6 +174,7 @@ def of_prediction(theta: Array, model: Model | None, study: Study) -> Iterator[R
     else:
         yield from of_starts(theta, model, study.cost)
     yield from of_model(theta, model, study.cost)
+    yield from of_draws(rollout, model, study)
     for oddity in model.policy.oddity(theta), study.cost.oddity(rollout):
         if oddity is not None:
             yield Remark(*oddity)

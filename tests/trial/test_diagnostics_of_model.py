@@ -1,14 +1,18 @@
 """A policy that stands on what the data do not determine of its identified model."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import simbias
 from simbias.core.records import Iteration
+from simbias.learning.bias.none import ConstantBias
 from simbias.learning.identification.directions import undetermined
 from simbias.learning.identification.identified import Identified
+from simbias.search.evaluation.robust import Robust
 from simbias.search.lqr import INPUT_WEIGHTS, lqr_policies
-from simbias.trial.diagnostics import of_model, of_trial
+from simbias.trial.diagnostics import of_model, of_prediction, of_trial
 from simbias.trial.study import Study
 from simbias.trial.summary import iteration_summary
 
@@ -48,6 +52,19 @@ def test_it_is_told_and_the_direction_named(study: Study) -> None:
     first, second = (iteration_summary(study, made[i], made[:i])["events"] for i in range(2))
     assert any("not a standard deviation aside in length, which" in event for event in first)
     assert kind in second
+
+
+def test_a_residual_that_is_added_to_drawn_models_is_told(study: Study) -> None:
+    theta, drawing = np.zeros(4), replace(study, evaluation=Robust(study.task, sample_nominal=True))
+    residual = ConstantBias(np.full(4, 1e-3), np.zeros(4))
+    for told, model, searched in (
+        (True, study.model(residual), drawing),
+        (False, study.model(residual), replace(study, evaluation=Robust(study.task))),
+        (False, study.model(residual, of_spread(study, 0.6)[0]), drawing),
+        (False, study.model(), drawing),
+    ):
+        kinds = {remark.kind for remark in of_prediction(theta, model, searched)}
+        assert ("a residual is added to drawn models" in kinds) == told
 
 
 def test_nothing_is_said_where_the_policy_lasts_or_all_is_determined(study: Study) -> None:

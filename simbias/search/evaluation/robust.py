@@ -63,7 +63,7 @@ class Robust(Evaluation):
         self._noise = Noise(task, noise)
         self._worst = {"mean": rollouts, "max": 1, "cvar": math.ceil(tail * rollouts - 1e-9) or 1}[aggregate]
         self._sample_starts = sample_starts
-        self._sample_nominal = sample_nominal
+        self.draws_nominal = sample_nominal
         self._sample_bias = sample_bias
         self._screening = screening
         self._fresh = fresh
@@ -89,7 +89,7 @@ class Robust(Evaluation):
         disturbance = None if self._noise.is_silent else self._noise.draw(noise_rng)
         drawn = replace(
             model,
-            nominal=model.nominal.draw(nominal_rng) if self._sample_nominal else model.nominal,
+            nominal=model.nominal.draw(nominal_rng) if self.draws_nominal else model.nominal,
             bias=model.bias.draw(bias_rng) if self._sample_bias else model.bias,
         )
         return Scenario(simulator(drawn, disturbance), start)
