@@ -43,8 +43,7 @@ def search(
     numbers, up to `retries` times, each time on draws from a posterior whose deviations are `posterior_scale`
     times those before. The best one is returned, with the evaluations of all. Each first evaluates the last
     policies (p,), LQR policies of `lqr_candidates` models (`simbias.search.lqr`), and those that follow the
-    best of some trajectories (`simbias.search.optimizer.ilqr`) of the model, or without its bias if it has
-    none.
+    best of some trajectories (`simbias.search.optimizer.ilqr`) of the model, or of it without its bias.
 
     Raises
     ------

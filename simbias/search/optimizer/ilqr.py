@@ -51,12 +51,13 @@ def trajectory_candidates(
 ) -> Iterator[Array]:
     """Policies (p,) that follow the best of `count` trajectories, one for each weight of the inputs.
 
-    The trajectories are of the first of the models that has any: a correction learned from few experiments
-    may make a model fail whatever its inputs. A trajectory costs what the weights say, those of a cost that
-    is quadratic about the goal; else there are weights of its own. Trajectories to a goal that rests begin
-    with different random inputs, the one to a goal that moves, or where all of these fail, at rest; to one
-    that leaves some states free, one begins at rest, too. They are planned once the first policy is asked
-    for, which a search that is replayed does not do.
+    Trajectories to a goal that rests begin with different random inputs, the one to a goal that moves at
+    rest; to one that leaves some states free, one begins at rest, too. They are of the first of the models
+    that has any: a correction learned from few experiments may make a model fail whatever its inputs. Where
+    random inputs fail on all models, a trajectory begins at rest; it is not tried before on the first model.
+    A trajectory costs what the weights say, those of a cost that is quadratic about the goal; else there are
+    weights of its own. They are planned once the first policy is asked for, which a search that is replayed
+    does not do.
 
     Raises
     ------
