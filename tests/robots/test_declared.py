@@ -275,6 +275,10 @@ def test_what_cannot_be_meant_is_refused() -> None:
         ({"drawing": {"rail": {"points": [[0, 0, 0]]}}}, "^task.drawing.rail.points.0: "),
         ({"goal": {"height": "0"}}, "goal: no state or output is called height; there is position"),
         ({"goal": {"position": "0.5 + t"}}, "goal.position is 0.95.* where the task fails: leaves"),
+        (
+            {"goal": {"position": "-t"}, "failure": {"ends": {"value": "position", "below": -0.5}}},
+            "goal.position is -0.501 at t = 0.501 s, where the task fails: ends",
+        ),
         ({"goal": {"position": "sqrt(1 - t)"}}, "goal.position is no number at t = 1"),
         ({"goal": {"position": "angle"}}, "goal.position: 'angle': nothing is called angle; there is t"),
         (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -109,13 +109,20 @@ def _rows(file: str, seconds: float) -> tuple[tuple[str, ...], Array, Array]:
     return header[1:], times, values
 
 
-def check_within(reference: Reference, criteria: Sequence[Criterion], seconds: float) -> None:
-    """Refuse a reference to a state that a failure criterion does not allow."""
+def check_within(
+    reference: Reference,
+    states: Sequence[str],
+    criteria: Sequence[Criterion],
+    measure: Callable[[Array], Array],
+    seconds: float,
+) -> None:
+    """Refuse a reference to a state that a failure criterion does not allow, whatever the other states."""
     times = np.linspace(0.0, seconds, 1000)
     values = np.broadcast_to(reference(times), (len(times), len(reference.names)))
     for column, name in zip(values.T, reference.names, strict=True):
-        for criterion in criteria:
-            if name in criterion.bounds and (beyond := np.abs(column) > criterion.bounds[name]).any():
+        x = np.where(np.array(states) == name, column[:, None], np.nan)
+        for criterion, each in zip(criteria, measure(x).T, strict=True):
+            if (beyond := each > criterion.limit).any():
                 raise ValueError(
                     f"goal.{name} is {column[beyond][0]:.3g} at t = {times[beyond][0]:.3g} s, "
                     f"where the task fails: {criterion.name}"

@@ -203,8 +203,10 @@ class Declared(Task):
                 raise ValueError(f"goal: no state or output is called {name}; there is {', '.join(known)}")
         aimed = [known[name] for name in self._reference.names]
         self._aimed, self._goals = [index for index, _ in aimed], tuple(quantity for _, quantity in aimed)
-        check_within(self._reference, self.criteria, self.horizon * self.time_step)
-        warn_of_degrees(self._reference, self._goals, self.horizon * self.time_step)
+        if self.criteria:
+            variables = self._known["variables"]
+            check_within(self._reference, variables, self.criteria, self._measure, seconds)
+        warn_of_degrees(self._reference, self._goals, seconds)
         check_jumps(self._reference, self._goals, self.time_step)
 
     def _set_success(
