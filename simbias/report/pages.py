@@ -24,8 +24,8 @@ from simbias.pictures.trial.gallery import FIGURES
 from simbias.sweep.folder import CHANGED, SWEEP, SweepFolder, sweep_folders
 from simbias.sweep.results import SHOWN
 from simbias.sweep.tables import left_out
-from simbias.trial.disk import loaded, write_whole
-from simbias.trial.folder import EPISODES, TRIAL, TrialFolder
+from simbias.trial.disk import write_whole
+from simbias.trial.folder import TRIAL, TrialFolder
 from simbias.trial.run import TrialRecord
 from simbias.trial.summary import COLUMNS, PARAMETERS, TrialSummary, cells, parameters
 
@@ -110,7 +110,7 @@ def _sweep_parts(folder: SweepFolder, description: dict) -> Iterator[str]:
     )
     if folder.changed():
         yield html.paragraph(CHANGED)
-    yield from _claims({TrialFolder(folder.trials / name): each for name, each in shown.items()})
+    yield from _claims(list(shown.values()))
     for file in folder.figures():
         if file.suffix == ".png":
             caption = file.with_suffix(".md")
@@ -135,25 +135,18 @@ def _sweep_parts(folder: SweepFolder, description: dict) -> Iterator[str]:
     yield from _made_with(description)
 
 
-def _claims(trials: Mapping[TrialFolder, TrialSummary]) -> Iterator[str]:
+def _claims(trials: Sequence[TrialSummary]) -> Iterator[str]:
     """How many trials claim more than the test of their last policies bears out."""
-    tests = {folder.numbered(EPISODES): each.claimed_share for folder, each in trials.items() if each.claim}
-    tested = [(loaded(file, _holding), share) for file, share in tests.items() if file.exists()]
+    claims = [(each.holding_episodes, each.claimed_share) for each in trials if each.claim]
+    tested = [(held, share) for held, share in claims if held]
     if not tested:
         return
-    wrong = sum(wilson(*held).high < share for held, share in tested)
+    wrong = sum(wilson(held.count("1"), len(held)).high < share for held, share in tested)
     yield html.paragraph(
         f"Of trials that claim a share of starts, by their own experiments at 95% confidence, the test of "
         f"the last policy contradicts {counted_share(wrong, len(tested))}: too few of its episodes last as "
         "long as an experiment."
     )
-
-
-def _holding(file: Path) -> tuple[int, int]:
-    """The number of test episodes that last as long as an experiment, which a claim is of, and of all."""
-    episodes = pd.read_csv(file, dtype={"failure": str}, keep_default_na=False)
-    lasts = (episodes["failure"] == "") | (episodes["lasted_seconds"] > episodes["asked_seconds"].min())
-    return int(lasts.sum()), len(episodes)
 
 
 def _table(head: list[str], rows: list[list[str]]) -> Iterator[str]:

@@ -60,8 +60,16 @@ class PolicyTestResult:
 
     def _succeeds(self, episode: Episode) -> bool:
         """Whether an episode is a success."""
-        lasts = episode.failure is None or episode.seconds > self.horizon
-        return lasts if episode.succeeds is None else episode.succeeds
+        return self._holds(episode) if episode.succeeds is None else episode.succeeds
+
+    @property
+    def holding(self) -> str:
+        """1 for each episode that lasts as long as an experiment, which a claim is of, 0 for each other."""
+        return "".join(str(int(self._holds(episode))) for episode in self.episodes)
+
+    def _holds(self, episode: Episode) -> bool:
+        """Whether an episode lasts as long as an experiment."""
+        return episode.failure is None or episode.seconds > self.horizon
 
     @property
     def lasting(self) -> str:

@@ -234,6 +234,7 @@ class _Run(Observer):
             hardware_seconds=self._study.task.time_step * sum(rollout.frames for rollout in self._made),
             test_episodes=test.successes if test else "",
             lasting_episodes=test.lasting if test else "",
+            holding_episodes=test.holding if test else "",
             success_rate=test.success_rate if test else nan,
             long_success_rate=test.long_success_rate if test else nan,
             long_seconds=test.long_seconds if test else nan,

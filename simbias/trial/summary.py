@@ -68,6 +68,7 @@ class TrialSummary:
     hardware_seconds: float = 0.0  # duration of the experiments
     test_episodes: str = ""  # of the last policy: 1 for each that counts as a success, 0 for each other
     lasting_episodes: str = ""  # likewise, 1 for each that lasts to its own end
+    holding_episodes: str = ""  # likewise, 1 for each that lasts as long as an experiment
     success_rate: float = nan  # share of test episodes
     long_success_rate: float = nan  # likewise, of the long ones
     long_seconds: float = nan  # mean duration of these

@@ -151,14 +151,12 @@ def test_the_page_of_a_sweep(tmp_path: Path, capsys: pytest.CaptureFixture[str])
 
 
 def test_claims_that_a_test_contradicts_are_counted(tmp_path: Path) -> None:
-    """A claim is of the time that an experiment takes; a long episode that fails later bears it out."""
-    tests = {"a": "60,3,falls\n5,4,falls\n", "b": "60,6,falls\n5,5,\n", "c": ""}
-    for name, episodes in tests.items():
+    """A claim is of the time that an experiment takes, not of success."""
+    tests = {"a": "00" * 8, "b": "11" * 8, "c": ""}
+    for name, holding in tests.items():
         (tmp_path / name).mkdir()
-        claim = {"claim": "holds", "claimed_share": 0.8, "test_episodes": "00" * 8 * bool(episodes)}
-        if episodes:
-            csv = f"asked_seconds,lasted_seconds,failure\n{8 * episodes}"
-            (tmp_path / name / "test_episodes.csv").write_text(csv)
+        claim = {"claim": "holds", "claimed_share": 0.8, "test_episodes": "0" * len(holding)}
+        claim["holding_episodes"] = holding
         write_json(tmp_path / name / "outcome.json", TrialSummary(Outcome.SUCCEEDED, **claim).as_json())
     folder = SweepFolder(tmp_path / "sweeps" / "mine")
     folder.begin({"name": "mine", "trials": dict.fromkeys(tests), "config": {}})

@@ -37,7 +37,8 @@ def test_it_changes_nothing_in_a_trial() -> None:
     assert without.policy_test is None
     assert record.policy_test is not None
     summary = without.summary
-    names = ["test_episodes", "lasting_episodes", "success_rate", "long_success_rate", "long_seconds"]
+    names = [*("test_episodes", "lasting_episodes", "holding_episodes", "success_rate")]
+    names += ["long_success_rate", "long_seconds"]
     same = replace(record.summary, **{name: getattr(summary, name) for name in [*names, "test_words"]})
     assert_equal(replace(record, policy_test=None, summary=same), without)
     frames = [each.frames for iteration in without.iterations for each in iteration.experiments]
@@ -116,6 +117,7 @@ def test_its_result_in_numbers_and_words() -> None:
     assert result.successes == "110"
     in_last_frame = tuple(Episode(x, seconds, 5.0, failure) for seconds in (60.0, 5.0))
     assert PolicyTestResult(5.0, in_last_frame).successes == "00"
+    assert PolicyTestResult(5.0, episodes[:2]).holding == "11"  # where all are long, too
     numbers = (result.success_rate, result.long_success_rate, result.long_seconds)
     assert numbers == pytest.approx((2 / 3, 0.5, 33.5))
     counts, lasts = "in 2 of 3 (21% to 94%) test episodes", ", and lasts in 1 of 2 (9% to 91%) of 60 s ("
