@@ -222,7 +222,7 @@ class _Split(NamedTuple):
 
 def _sha(fields: Mapping[str, Any]) -> str:
     """The first hexadecimal digits of a SHA-256 of these fields and of the scheme."""
-    text = json.dumps({"scheme": SCHEME, **fields}, sort_keys=True, default=str)
+    text = json.dumps({"scheme": SCHEME, **fields}, sort_keys=True)
     return short_digest(text.encode())
 
 

@@ -8,9 +8,13 @@ value of an argument alone behaves otherwise, VERSIONS adds to the version of th
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import MISSING, fields, is_dataclass
+from enum import Enum
+from pathlib import PurePath
 from typing import Any
+
+import numpy as np
 
 from simbias.config.allowed import TARGET
 from simbias.config.components import (
@@ -21,6 +25,7 @@ from simbias.config.components import (
     constructor_parameters,
 )
 from simbias.config.conditions import HARDWARE, safety, split
+from simbias.core.errors import ConfigError
 
 LATER = {  # groups that came later, and what does nothing in their place: earlier trials stay what they are
     "identification": {TARGET: "simbias.learning.identification.none.NoIdentification"},
@@ -54,7 +59,7 @@ def identity_fields(
         key: _component(value, key, allowed) if isinstance(value, Mapping) and TARGET in value else value
         for key, value in relevant.items()
     }
-    return {**found, "safety": _plain(limits)} if limits.limits else found
+    return {**found, "safety": _plain(limits, f"{HARDWARE}.safety")} if limits.limits else found
 
 
 def _component(config: Mapping[str, Any], key: str, allowed: Sequence[str]) -> dict[str, Any]:
@@ -71,7 +76,7 @@ def _component(config: Mapping[str, Any], key: str, allowed: Sequence[str]) -> d
     name = component.__name__ if own else f"{component.__module__}.{component.__qualname__}"
     changes = [VERSIONS.get(f"{name}.{argument}={value}", 0) for argument, value in arguments.items()]
     version = getattr(component, "version", 1) + sum(changes)
-    deviations = _deviations(arguments, defaults).items()
+    deviations = _deviations(arguments, defaults, key).items()
     return {
         "class": FORMER.get(name, name),
         **({"version": version} if version != 1 else {}),
@@ -79,27 +84,39 @@ def _component(config: Mapping[str, Any], key: str, allowed: Sequence[str]) -> d
     }
 
 
-def _deviations(values: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
+def _deviations(values: Mapping[str, Any], defaults: Mapping[str, Any], key: str) -> dict[str, Any]:
     """The values that are not the defaults, as plain containers."""
-    plain = {name: _plain(value) for name, value in values.items()}
+    plain = {name: _plain(value, f"{key}.{name}") for name, value in values.items()}
     return {
         name: value
         for name, value in plain.items()
-        if name not in defaults or value != _plain(defaults[name])
+        if name not in defaults or value != _plain(defaults[name], f"{key}.{name}")
     }
 
 
-def _plain(value: Any) -> Any:
-    """A value as plain containers; of a dataclass, what deviates from its defaults."""
+def _plain(value: Any, key: str) -> Any:
+    """A value as plain containers; of a dataclass, what deviates from its defaults.
+
+    A ConfigError names the key of a value of another type, whose text may differ between processes.
+    """
     if is_dataclass(value) and not isinstance(value, type):
         defaults = {
             each.name: each.default if each.default_factory is MISSING else each.default_factory()
             for each in fields(value)
             if each.default is not MISSING or each.default_factory is not MISSING
         }
-        return _deviations(vars(value), defaults)
+        return _deviations(vars(value), defaults, key)
     if isinstance(value, Mapping):
-        return {str(name): _plain(each) for name, each in value.items()}
+        return {str(name): _plain(each, key) for name, each in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
-    return value
+        return [_plain(each, key) for each in value]
+    if isinstance(value, Set):
+        return sorted((_plain(each, key) for each in value), key=repr)
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist(), key)
+    if value is None or isinstance(value, str | int | float):
+        return value
+    if isinstance(value, PurePath | Enum):
+        return str(value)
+    expected = "expected numbers, texts, paths, arrays, containers or dataclasses"
+    raise ConfigError(key, f"{expected}, of which a trial's identity is made, got {type(value).__name__}")

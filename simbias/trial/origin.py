@@ -66,7 +66,7 @@ def model_digest(study: Study) -> str:
     values = {key: value for key, value in fields if key not in ("file", "uncertainty", "sampled")}
     values |= {"robot": task["robot"]} if "robot" in task else {}
     files = [Path(file).read_bytes() for file in getattr(study.nominal, "source_files", ())]
-    return short_digest(b"".join([json.dumps(values, sort_keys=True, default=str).encode(), *files]))
+    return short_digest(b"".join([json.dumps(values, sort_keys=True).encode(), *files]))
 
 
 def changed_code(before: Mapping[str, Any], study: Study) -> str:

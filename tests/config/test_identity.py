@@ -3,13 +3,17 @@
 import sys
 import textwrap
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 from texts import write
 
 from simbias.config import ConfigError, Variations, compose
 from simbias.config.build import build
+from simbias.config.identity import identity_fields
+from simbias.learning.bias.none import NoBias
 from simbias.sweep.grid import expand
 
 OWN_BIAS = """
@@ -44,6 +48,31 @@ def test_an_option_added_with_its_old_behaviour_as_default_changes_no_trial(
     assert own(tmp_path, ", memory: int = 0", more="memory: 1\n") != before
     assert own(tmp_path, ", limits: dict[str, float] | None = None", more="limits: null\n") == before
     assert own(tmp_path, version="version = 2") != before
+
+
+class Tabled(NoBias):
+    """A bias with a value of any type."""
+
+    def __init__(self, table: Any = None) -> None: ...
+
+
+def test_values_of_any_type_are_told_apart() -> None:
+    """Arrays by all of their numbers, sets in any order; a value whose text tells less is refused."""
+
+    def identity(table: object) -> dict[str, Any]:
+        config = {"bias": {"_target_": f"{__name__}.Tabled", "table": table}}
+        return identity_fields(config, (), [__name__])["bias"]
+
+    array = np.linspace(0.0, 1.0, 1500)
+    for table, told in (
+        (array, array.tolist()),
+        ({"b", "a"}, ["a", "b"]),
+        (Path("a"), "a"),
+        ((1, 2), [1, 2]),
+    ):
+        assert identity(table) == {"class": f"{__name__}.Tabled", "table": told}
+    with pytest.raises(ConfigError, match=r"^bias\.table: expected numbers, .*, got object$"):
+        identity([object()])
 
 
 @pytest.mark.slow
