@@ -101,7 +101,7 @@ def identify(
     >>> found.better, [finding.trusted for finding in found.findings]
 
     `columns` are names of columns by the task's names. Nothing is fitted to a file that is held out, even if
-    `recordings` name it, too. Warnings tell what was done to the data.
+    `recordings` name it or a copy, too. Warnings tell what was done to the data.
 
     Raises
     ------
@@ -111,10 +111,10 @@ def identify(
     from simbias.config import compose
     from simbias.config.build import OF_RECORDINGS, build
     from simbias.recordings.assessment import LONGEST, assess, prepared
-    from simbias.recordings.reading import read
+    from simbias.recordings.reading import read_apart
 
     study = prepared(build(compose(overrides, config_dir, allow), OF_RECORDINGS))
-    fitted, kept = read(study, recordings, columns, held_out, LONGEST), read(study, held_out, columns)
+    fitted, kept = read_apart(study, recordings, held_out, columns, LONGEST)
     for note in (*fitted.notes, *kept.notes):
         warnings.warn(note, stacklevel=2)
     return assess(study, fitted.rollouts, kept.rollouts, doubt=fitted.doubt)

@@ -37,14 +37,26 @@ class Recordings(NamedTuple):
         return Part.of("all recordings", self.rollouts)
 
 
+def read_apart(
+    study: Study,
+    places: Sequence[Path | str],
+    held_out: Sequence[Path | str],
+    columns: Mapping[str, str] | None = None,
+    windows: float = 0.0,
+) -> tuple[Recordings, Recordings]:
+    """Recordings, and those that are held out, which are not among the first; errors as of `read`."""
+    kept = read(study, held_out, columns)
+    return read(study, places, columns, windows, kept.rollouts.values()), kept
+
+
 def read(
     study: Study,
     places: Sequence[Path | str],
     columns: Mapping[str, str] | None = None,
-    held_out: Sequence[Path | str] = (),
     windows: float = 0.0,
+    held_out: Collection[Sequence[Rollout]] = (),
 ) -> Recordings:
-    """Recordings of files, and of all files in folders, but for those that are held out.
+    """Recordings of files, and of all files in folders, but for those with samples that are held out.
 
     Pieces between gaps are left out where they are shorter than `windows` of the study's posterior. Without
     columns, those of the study's `hardware=recorded` are read, or else the task's own names.
@@ -60,26 +72,26 @@ def read(
             hardware = Recorded(study.task, ".", columns=columns)
         except ValueError as error:
             raise ConfigError("columns", words(error).removeprefix("columns ")) from error
-    kept, files = _by_place(held_out), _by_place(places)
+    files, kept = _all_files(places), {_samples(pieces) for pieces in held_out}
     rollouts, times = dict[str, tuple[Rollout, ...]](), dict[str, tuple[Array, ...]]()
     notes, extents = dict[str, list[str]](), list[str]()  # the files that a note is on
     seen, needed, posterior, doubt = set[str](), None, study.identification, ""
     if windows and isinstance(posterior, Posterior):
         needed = posterior.with_window(windows * posterior.window)
-    for place, file in files.items():
-        name = _name(file, files.values())
-        if place in kept:
-            notes.setdefault("held out, so not fitted to", []).append(name)
-            continue
+    for file in files:
+        name = _name(file, files)
         try:
             recording = hardware.reader.read(file, whole_lines=True)
         except HardwareError as error:
             raise ConfigError("", words(error)) from error
+        if (samples := _samples(recording.pieces)) in kept:
+            notes.setdefault("held out, so not fitted to", []).append(name)
+            continue
         if recording.coarse:
             doubt = f"velocities are estimated in frames of {study.task.time_step:g} s"
         for note in recording.notes:
             notes.setdefault(note, []).append(name)
-        if (samples := _samples(recording.pieces)) in seen:
+        if samples in seen:
             notes.setdefault("has the samples of another file, so it does not count again", []).append(name)
             continue
         seen.add(samples)
@@ -127,9 +139,9 @@ def columns(text: str) -> dict[str, str]:
     return found
 
 
-def _by_place(places: Sequence[Path | str]) -> dict[Path, Path]:
-    """Files of places by where they are: one that is named twice is one file."""
-    return {file.resolve(): file for place in places for file in _files(Path(place))}
+def _all_files(places: Sequence[Path | str]) -> Collection[Path]:
+    """Files of places: one that is named twice is one file."""
+    return {file.resolve(): file for place in places for file in _files(Path(place))}.values()
 
 
 def _files(place: Path) -> list[Path]:

@@ -21,7 +21,7 @@ from simbias.recordings import words
 from simbias.recordings.assessment import LONGEST, Assessment, assess, prepared
 from simbias.recordings.excitation import Designer, Excitation
 from simbias.recordings.files import GROUP, OPTION, check_replaces_nothing, write
-from simbias.recordings.reading import Recordings, read
+from simbias.recordings.reading import Recordings, read_apart
 from simbias.terminal.lines import progress, say, standard_output
 from simbias.terminal.notices import preparing, slowness_in_one_line
 from simbias.trial.study import Study
@@ -65,8 +65,7 @@ class Request(NamedTuple):
         with preparing():
             composition = compose(self._identifying, self.config_dir, self.allow)
             study = prepared(build(composition, None if attach else OF_RECORDINGS))
-        recordings = read(study, self.recordings, self.columns, self.held_out, windows)
-        held_out = read(study, self.held_out, self.columns)
+        recordings, held_out = read_apart(study, self.recordings, self.held_out, self.columns, windows)
         for note in (*recordings.notes, *held_out.notes):
             say(console, note, "yellow")
         if extent := ", ".join(filter(None, (recordings.extent, held_out.extent))):

@@ -39,7 +39,7 @@ from simbias.recordings.horizons import CHANGE, Prediction, inside, predictions,
 from simbias.recordings.mistakes import Mistake, changes, mistakes
 from simbias.recordings.parts import parts
 from simbias.recordings.reach import beyond
-from simbias.recordings.reading import read
+from simbias.recordings.reading import read, read_apart
 from simbias.recordings.report import report
 from simbias.recordings.words import (
     about_errors,
@@ -653,21 +653,25 @@ def test_the_command_tells_and_writes(
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.* never changes")
 def test_nothing_is_fitted_to_what_is_held_out(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """However a file is named, also as one of a folder; without another one, there is nothing to fit to."""
+    """Nor to a copy of it, however it is named; without another recording, there is nothing to fit to."""
     (folder / "lab").mkdir()
     for at, name in enumerate(("one", "two")):
         write_csv(Rollout(np.full((202, 4), at), np.zeros((201, 2))), folder / "lab" / f"{name}.csv")
     (folder / "again.csv").symlink_to(folder / "lab" / "two.csv")
     options = ["preset=double_pendulum", "identification=posterior", "tracking=none"]
-    found = read(simbias.load(options), ["lab", "lab/../lab/one.csv"], held_out=[folder / "again.csv"])
+    found, kept = read_apart(simbias.load(options), ["lab", "lab/../lab/one.csv"], [folder / "again.csv"])
     assert list(found.rollouts) == list(found.times) == ["one.csv"]
     assert "two.csv: held out, so not fitted to" in found.notes
+    assert list(kept.rollouts) == ["again.csv"]
     still = next(note for note in read(simbias.load(options), ["lab"]).notes if "pos1 never changes" in note)
     assert still.startswith("one.csv, two.csv: ")  # once for both
     (folder / "copy.csv").write_bytes((folder / "lab" / "one.csv").read_bytes())
     found = read(simbias.load(options), ["lab", "copy.csv"])
     assert list(found.rollouts) == ["one.csv", "two.csv"]
     assert "copy.csv: has the samples of another file, so it does not count again" in found.notes
+    found, _ = read_apart(simbias.load(options), ["lab"], ["copy.csv"])
+    assert list(found.rollouts) == ["two.csv"]
+    assert "one.csv: held out, so not fitted to" in found.notes
     refused = pytest.raises(ConfigError, match=r"^identify: needs recordings that are not held out: ")
     with refused, pytest.warns(UserWarning, match=r"^one\.csv, two\.csv: held out, so not fitted to"):
         simbias.identify(["lab"], options, held_out=["lab"])
@@ -730,7 +734,7 @@ def test_short_pieces_are_left_out_and_short_files_refused(study: Study, folder:
     rows[:100].to_csv("cut.csv", index=False)
     with pytest.raises(ConfigError, match=r"^cut\.csv: is shorter than a window of 0\.2 s$"):
         read(study, ["cut.csv"], windows=2.0)
-    (folder / "held.csv").write_bytes((folder / "cut.csv").read_bytes())
+    rows[:110].to_csv("held.csv", index=False)
     request = Request(["cut.csv"], ["held.csv"], ["preset=double_pendulum"], None, folder, None, [])
     _, *opened = request.opened(Console())  # as excite, which needs 0.1 s
     continue_ = [[piece.continues for piece in each.pieces.rollouts] for each in opened]
