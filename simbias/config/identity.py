@@ -3,7 +3,8 @@
 A value that equals its constructor's default is left out. So an option that is added, its default the old
 behaviour, changes the identity of no trial, nor its seed. A deliberate change of behaviour, as of a default,
 raises the component's `version` instead: that gives all trials with this component new identities. Where one
-value of an argument alone behaves otherwise, VERSIONS adds to the version of that value's trials.
+value of an argument alone behaves otherwise, VERSIONS adds to the version of that value's trials. Arguments
+that affect no result are in the component's `not_hashed`.
 """
 
 from __future__ import annotations
@@ -76,7 +77,9 @@ def _component(config: Mapping[str, Any], key: str, allowed: Sequence[str]) -> d
     name = component.__name__ if own else f"{component.__module__}.{component.__qualname__}"
     changes = [VERSIONS.get(f"{name}.{argument}={value}", 0) for argument, value in arguments.items()]
     version = getattr(component, "version", 1) + sum(changes)
-    deviations = _deviations(arguments, defaults, key).items()
+    not_hashed = getattr(component, "not_hashed", ())
+    hashed = {name: value for name, value in arguments.items() if name not in not_hashed}
+    deviations = _deviations(hashed, defaults, key).items()
     return {
         "class": FORMER.get(name, name),
         **({"version": version} if version != 1 else {}),

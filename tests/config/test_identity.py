@@ -87,6 +87,9 @@ def test_what_changes_no_result_changes_no_identity() -> None:
         ["budget.experiments=null", "samples.stride=35"],  # frames; samples=thresholds has seconds
     ):
         assert compose(overrides).hash == base
+    process = ["hardware=process", "hardware.command=drive"]
+    other = ["hardware.timeout=600", "hardware.exclusive=false"]
+    assert compose([*process, *other]).hash == compose(process).hash != base
     options = ["identification=posterior_forward", "evaluation=domain_randomization_30s"]
     options += ["method=model_selection", "optimizer=hybrid_from_candidates"]
     assert compose(["preset=robust"]).hash == compose(["bias=window_gp", *options]).hash

@@ -44,18 +44,19 @@ class Process(Hardware):
     command
         The program and its arguments, as a shell splits them; no shell runs.
     timeout
-        Seconds after which the program is ended.
+        Seconds beyond an experiment's own duration, after which the program is ended.
     exclusive
-        Whether an experiment waits, up to `timeout`, until no other run of the same command is left on this
+        Whether an experiment waits, as long at most, until no other run of the same command is left on this
         machine. A simulator may run several times at once; a robot may not.
     """
 
     sets_start = False  # as far as anybody knows
+    not_hashed = ("timeout", "exclusive")
 
     def __init__(self, task: Task, command: str, timeout: Seconds = 60.0, exclusive: bool = True) -> None:
         self._task = task
         self._command = shlex.split(command)
-        self._timeout = timeout
+        self._timeout = task.horizon * task.time_step + timeout
         self._exclusive = exclusive
         self._program: Program | None = None
         if not self._command:
@@ -100,7 +101,8 @@ class Process(Hardware):
         if out.too_long or program.err.too_long:
             raise HardwareError(f"expected at most {MOST_OUTPUT >> 20} MB of output, got more")
         if status is None:
-            raise HardwareError(f"expected an answer within {self._timeout:g} s (hardware.timeout), got none")
+            limit = f"{self._timeout:g} s (its own duration and hardware.timeout)"
+            raise HardwareError(f"expected an answer within {limit}, got none")
         if status:
             last = brief(said[-SAID:]) or "it says nothing"
             raise HardwareError(f"expected exit status 0, got {status}: {last}")
