@@ -142,8 +142,8 @@ class Variations:
         options = [f"{key}={value}" for key, value in settings.items() if key in groups]
         whole = by_hydra((*split.structure, *options))
         config = whole.configs.copy()
-        values = split.values | {key: value for key, value in settings.items() if key not in groups}
-        for key, value in values.items():
+        further = ((key, value) for key, value in settings.items() if key not in groups)
+        for key, value in (*split.values, *further):
             set_value(config, key, value)
         return config, whole.choices
 
@@ -200,16 +200,16 @@ class Variations:
         from hydra.core.override_parser.types import OverrideType
 
         structure: list[str] = []
-        values: dict[str, Any] = {}
+        values: list[tuple[str, Any]] = []
         for text, each in zip(overrides, parsed(overrides), strict=True):
             key = each.key_or_group
             changes = each.type is OverrideType.CHANGE and not each.is_sweep_override() and not each.package
             if "/" in key or any((folder / key).is_dir() for folder in self._read) or key == "sweep":
                 structure.append(text)
             elif changes and not key.startswith("hydra."):
-                values[key] = each.value()
+                values.append((key, each.value()))
             else:
-                return _Split(overrides, {})
+                return _Split(overrides, [])
         return _Split(structure, values)
 
 
@@ -217,7 +217,7 @@ class _Split(NamedTuple):
     """Overrides by who sees to them."""
 
     structure: Sequence[str]  # Hydra
-    values: dict[str, Any]  # that are set in what it composed
+    values: Sequence[tuple[str, Any]]  # that are set, in this order, in what it composed
 
 
 def _sha(fields: Mapping[str, Any]) -> str:

@@ -87,9 +87,20 @@ def test_a_whole_mapping_adds_its_keys(beside: list[str]) -> None:
     assert compose([*base, "hardware.noise={force_variance: 0.1}"]).config == (
         compose([*base, "+hardware.noise.force_variance=0.1"]).config
     )
+    again = ["hardware.noise={force_variance: 0.1}", "hardware.noise={position_variance: 0.2}"]
+    assert compose([*base, *again]).config["hardware"]["noise"] == {
+        **config["noise"],
+        "position_variance": 0.2,
+    }
     for key in ("hardware.nosuch", "engine.nosuch", "hydra.nosuch", "seed.x"):
         with one_line(rf"^{key}: no such key; --cfg job shows them all"):
             compose([*base, f"{key}={{a: 1}}"])
+
+
+def test_the_last_override_counts() -> None:
+    order = (".torque_variance=0.1", "={torque_variance: 0.2}", ".torque_variance=0.3")
+    config = compose([f"hardware.noise{each}" for each in order]).config
+    assert config["hardware"]["noise"]["torque_variance"] == 0.3
 
 
 def test_config_dir_must_exist() -> None:
