@@ -24,9 +24,11 @@ from simbias.config.components import (
     component_class,
     constructor_arguments,
     constructor_parameters,
+    validate,
 )
 from simbias.config.conditions import HARDWARE, safety, split
 from simbias.core.errors import ConfigError
+from simbias.trial.budget import Budget
 
 LATER = {  # groups that came later, and what does nothing in their place: earlier trials stay what they are
     "identification": {TARGET: "simbias.learning.identification.none.NoIdentification"},
@@ -53,6 +55,9 @@ def identity_fields(
     relevant = {
         key: value for key, value in config.items() if key not in left_out and value != LATER.get(key)
     }
+    if "budget" in relevant:  # 10 s are 10.0 s
+        budget = validate({"budget": relevant["budget"]}, {"budget": Budget}, "")["budget"]
+        relevant["budget"] = vars(budget)
     limits = safety(relevant.get(HARDWARE, {}))
     if HARDWARE in relevant:
         relevant[HARDWARE], _ = split(relevant[HARDWARE])

@@ -96,6 +96,8 @@ def test_what_changes_no_result_changes_no_identity() -> None:
     assert compose(["preset=robust", "bias=none"]).hash == compose(["bias=none", *options]).hash
     for seed in ("01", "1e0", "'1'", "1.0"):
         assert compose([f"seed={seed}"]) == compose(["seed=1"])
+    for one, other in (("seconds=10", "seconds=10.0"), ("experiments=5", "experiments=5.0")):
+        assert compose([f"budget.{one}"]).hash == compose([f"budget.{other}"]).hash
     cells = [compose([override]).group_hash for override in ("seed=1", "seed=2", "bias=none")]
     assert cells[0] == cells[1] != cells[2]
 
