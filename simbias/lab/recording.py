@@ -232,7 +232,7 @@ class Reader:
         states = np.array([columns[i] for i in range(n)]).T
         signals_of_inputs = [found[n + i] for i in range(len(task.inputs))]
         inputs = np.array([_held(each, begin, task.time_step, frames) for each in signals_of_inputs]).T
-        times = found[0].times
+        times = found[min(found)].times  # of the first state that a column holds
         inside = times[(times >= begin) & (times <= at[-1] + NEAR * task.time_step)] - begin
         return Rollout(states, inputs, measured=states, sensed=True), inside
 

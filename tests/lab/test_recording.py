@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from errors import one_line
 from pendulum import experiment, pendulum
+from point_mass import PointMass
 
 from simbias.core import HardwareError
 from simbias.core.errors import ConfigError
@@ -250,6 +251,16 @@ def test_a_velocity_that_lacks_is_estimated_and_said_so(
     assert np.sqrt(np.mean(error**2)) < 0.01 * np.std(rollout.states[:, 3])
     mistyped = read(table, vel2="vle2")
     assert mistyped.notes == ("vel2 is estimated from pos2, as there is no column 'vle2'",)
+
+
+def test_a_velocity_that_lacks_may_be_the_first_state(tmp_path: Path) -> None:
+    task, t = PointMass(), 0.02 * np.arange(100)
+    task.states = PointMass.states[::-1]
+    pd.DataFrame({"time": t, "position": t**2, "force": 2.0}).to_csv(tmp_path / "one.csv", index=False)
+    columns = {name: name for name in ("time", "position", "velocity", "force")}
+    recording = Reader(task, columns).read(tmp_path / "one.csv")
+    np.testing.assert_allclose(recording.pieces[0].states, np.column_stack([2 * t, t**2]), atol=1e-6)
+    np.testing.assert_allclose(recording.times[0], t)
 
 
 @pytest.mark.parametrize("frame", [0.005, 0.02, 0.05])
