@@ -44,8 +44,8 @@ examples:
   python -m simbias withdraw trials/7a29f4c5425f/0004_experiment.npz --reason "a loose cable"
   python -m simbias preview            # what the first experiment is predicted to do; none is made
 
-exit status: 0 the policy succeeded on hardware, 1 it did not, 2 bad input, 3 a hardware experiment is awaited
-             (the same command resumes), 130 interrupted (likewise)
+exit status: 0 the policy succeeded on hardware, 1 it did not or an error stopped the trial, 2 bad input,
+             3 a hardware experiment is awaited (the same command resumes), 130 interrupted (likewise)
 of a sweep:  0 all trials ran, whether they succeeded or not, 1 one raised an error, 2 and 130 as above,
              3 also if another process runs one of its trials
 of export:   0 all trials are shown, 1 one could not be read
