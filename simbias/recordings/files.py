@@ -49,7 +49,7 @@ def check_replaces_nothing(study: Study, folder: Path, option: Path) -> None:
     for file in getattr(study.nominal, "source_files", ()):
         if Path(file).resolve() in written:
             raise ConfigError("--into", f"would replace {file}, which the nominal model is read from")
-    own = option.is_file() and option.read_text().startswith(head(folder, option))
+    own = option.is_file() and option.read_text(encoding="utf-8").startswith(head(folder, option))
     if option.stem == study.choices[GROUP] or (not own and option.stem in options(option.parents[1])[GROUP]):
         raise ConfigError("--into", f"would replace {GROUP}={option.stem}: choose another folder")
     try:
@@ -91,8 +91,8 @@ def write(
     texts |= {f"{name}.xml": text for name, text in models(assessment.identified)}
     lines = [head(folder, option), *option_lines(assessment, identification)]
     for name, text in texts.items():
-        (folder / name).write_text(text)
-    option.write_text("\n".join(lines) + "\n")
+        (folder / name).write_text(text, encoding="utf-8")
+    option.write_text("\n".join(lines) + "\n", encoding="utf-8")
     for name in set(OPTIONAL) - set(texts):  # of the model before
         (folder / name).unlink(missing_ok=True)
 

@@ -129,7 +129,8 @@ def columns(text: str) -> dict[str, str]:
     import yaml
 
     try:
-        found = yaml.safe_load(Path(text).read_text() if text.endswith((".yaml", ".yml")) else text)
+        is_file = text.endswith((".yaml", ".yml"))
+        found = yaml.safe_load(Path(text).read_text(encoding="utf-8") if is_file else text)
     except (OSError, yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
         raise ConfigError("--columns", reason(error)) from error
     if not isinstance(found, dict) or not all(

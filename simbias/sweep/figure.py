@@ -95,7 +95,7 @@ class Picture:
         save(self.figure, png)
         save(self.figure, svg)
         self.numbers.to_csv(csv, index=False, float_format="%.6g")
-        md.write_text(fill(self.caption, 110) + "\n")
+        md.write_text(fill(self.caption, 110) + "\n", encoding="utf-8")
         if self.animate is not None:
             paths.append(folder / f"{name}.gif")
             self.animate(paths[-1])

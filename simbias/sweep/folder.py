@@ -9,7 +9,6 @@ figures/                     the figures
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -85,7 +84,7 @@ class SweepFolder:
         """Keep a figure's files; they replace those of the same names."""
         (self.path / FIGURES).mkdir(exist_ok=True)
         for file in files:
-            shutil.copy(file, self.path / FIGURES)
+            write_whole(self.path / FIGURES / file.name, file.read_bytes())
 
     def keep_outcomes(self, batch: str, outcomes: Outcomes) -> None:
         """Keep the outcomes of a batch of experiments, by its hash."""
@@ -98,7 +97,7 @@ class SweepFolder:
         for batch in batches:
             file = self.path / EXPERIMENTS / f"{batch}.json"
             with suppress(OSError, ValueError):
-                kept[batch] = Outcomes.from_json(require_file(file).read_text())
+                kept[batch] = Outcomes.from_json(require_file(file).read_text(encoding="utf-8"))
         return kept
 
 

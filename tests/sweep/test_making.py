@@ -63,6 +63,18 @@ class Tries(SweepFigure):
         )
 
 
+def test_a_published_picture_is_whole_at_any_time(tmp_path: Path) -> None:
+    """A new one takes the old one's place and is not written into it."""
+    folder, file = SweepFolder(tmp_path), tmp_path / "costs.md"
+    published = tmp_path / "figures" / "costs.md"
+    file.write_text("old")
+    folder.publish([file])
+    with published.open() as old:
+        file.write_text("new")
+        folder.publish([file])
+        assert (old.read(), published.read_text()) == ("old", "new")
+
+
 @pytest.fixture(scope="module")
 def brief() -> Study:
     return simbias.load(["task.horizon=50"])
