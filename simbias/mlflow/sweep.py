@@ -118,7 +118,8 @@ class SweepRun(RunExport):
     def _write_table(self) -> None:
         """Write the table that MLflow shows as one; `log_table` would append to that of an earlier export."""
         client, labels = self.runs.client, {axis["name"]: str for axis in self._description["axes"]}
-        table = pd.read_csv(require_file(self.path / "table.csv"), dtype=labels).astype(object)
+        file = require_file(self.path / "table.csv")
+        table = pd.read_csv(file, dtype=labels, keep_default_na=False, na_values=[""]).astype(object)
         if any(file.path == TABLE for file in client.list_artifacts(self.run_id)):
             client.log_text(self.run_id, table.to_json(orient="split", index=False), TABLE)
         else:
