@@ -47,7 +47,7 @@ class Dask(Engine):
     def __init__(self, address: str | None = None, n_jobs: Workers = 2) -> None:
         library("distributed", "Dask", "dask")
         self._address = address
-        self.n_jobs = n_jobs
+        self.n_jobs = n_jobs if address is None else 1  # at least: a cluster's workers come and go
         self._waits = False  # for a worker, and has said so
 
     def run(

@@ -143,6 +143,7 @@ def test_no_scheduler_at_the_address(monkeypatch: pytest.MonkeyPatch) -> None:
     for address in ("tcp://127.0.0.1:9", "nonsense://x:1", "no port"):
         with pytest.raises(ConfigError, match=rf"engine\.address: {address}: no scheduler answers"):
             list(Dask(address).run(str, [1]))
+        assert Dask(address, n_jobs=8).n_jobs == 1  # those of a local cluster tell nothing of this one
 
 
 def test_what_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
