@@ -40,6 +40,8 @@ def study(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 
 
 def test_last_policies_of_a_sweep_are_tried(study: Study, tmp_path: Path) -> None:
+    with pytest.raises(SystemExit, match=r"^trials: no finished trial of smoke, 0$"):
+        study("last_policies", "smoke", "policies.csv")
     assert main(["+sweep=smoke", NO_FIGURES, *FOLDERS, "engine=sequential"]) == 0
     head, _, *body = study("last_policies", "smoke", "policies.csv").splitlines()
     assert head.endswith("| succeeded | starts that the last policy balances |")

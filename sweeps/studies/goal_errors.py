@@ -16,15 +16,14 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from last_policies import TRIALS, finished
 
 from simbias.core import markdown
-from simbias.sweep import results
 from simbias.sweep.grid import Sweep, expand
 from simbias.sweep.statistics import mean_text
 from simbias.trial.folder import EPISODES
 
-TRIALS = Path("trials")
-HEAD = ["trials", "RMS error (mm)", "least to most", "failed episodes"]
+HEAD = ["trials", "that differ", "RMS error (mm)", "least to most", "failed episodes"]
 
 
 def errors_of(row: dict[Any, Any], axes: list[str]) -> dict[str, Any]:
@@ -37,25 +36,30 @@ def errors_of(row: dict[Any, Any], axes: list[str]) -> dict[str, Any]:
 
 
 def table(sweep: Sweep, errors: pd.DataFrame, rivals: Sequence[str]) -> str:
-    """A row for each cell, in markdown: means over its trials, with their bootstrap intervals."""
+    """A row for each cell, in markdown: means over trials, intervals where no two are alike."""
     axes, body = [axis.name for axis in sweep.axes], []
     of_cell = {labels: own.set_index("repetition") for labels, own in errors.groupby(axes)}
     for cell in sweep.cells:
         own = of_cell[cell.labels]
         mm = 1000 * own["error"]
         span, failed = f"{mm.min():.1f} to {mm.max():.1f}", str(own["failed"].sum())
-        others = (of_cell[*cell.labels[:-1], rival] for rival in rivals)
-        times = (mean_text(other["error"] / own["error"], ".1f") for other in others)
-        body.append([*cell.labels, str(len(own)), mean_text(mm, ".1f"), span, failed, *times])
+        times = (_mean(of_cell[*cell.labels[:-1], rival]["error"], own["error"]) for rival in rivals)
+        differ = str(mm.nunique())
+        body.append([*cell.labels, str(len(own)), differ, _mean(mm), span, failed, *times])
     return markdown.table([*axes, *HEAD, *(f"times less: {rival}" for rival in rivals)], body)
+
+
+def _mean(errors: pd.Series, over: pd.Series | float = 1.0) -> str:
+    """Their mean, with an interval if the errors are of as many policies; copies would make it too narrow."""
+    ratios = errors / over
+    return mean_text(ratios, ".1f") if errors.is_unique else f"{ratios.mean():.1f}"
 
 
 def main(name: str, path: Path, *rivals: str) -> None:
     """Write the file and print the table."""
     sweep = expand([f"+sweep={name}"])
     axes = [axis.name for axis in sweep.axes]
-    trials = results.of_folders(sweep, TRIALS).query("outcome != 'error'")
-    errors = pd.DataFrame([errors_of(row, axes) for row in trials.to_dict("records")])
+    errors = pd.DataFrame([errors_of(row, axes) for row in finished(sweep).to_dict("records")])
     errors.to_csv(path, index=False, float_format="%.6g", lineterminator="\n")
     print(table(sweep, errors, rivals), end="")
 

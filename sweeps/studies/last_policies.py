@@ -23,6 +23,16 @@ from simbias.sweep.grid import Sweep, expand
 TRIALS = Path("trials")
 
 
+def finished(sweep: Sweep) -> pd.DataFrame:
+    """A row for each trial of `TRIALS` that ended without an error; one line if a cell has none."""
+    trials = results.of_folders(sweep, TRIALS).query("outcome != 'error'")
+    labels = set(trials[[axis.name for axis in sweep.axes]].itertuples(index=False, name=None))
+    for cell in sweep.cells:
+        if cell.labels not in labels:
+            sys.exit(f"{TRIALS}: no finished trial of {sweep.name}, {', '.join(cell.labels)}")
+    return trials
+
+
 def outcome_of(row: dict[Any, Any], axes: list[str]) -> dict[str, Any]:
     """A trial's last policy, tried."""
     trial = simbias.load_trial(TRIALS / row["hash"])
@@ -47,7 +57,7 @@ def main(name: str, path: Path) -> None:
     if sweep.report.columns is not None:
         sys.exit(f"{name} has cells side by side")
     axes = [axis.name for axis in sweep.axes]
-    trials = results.of_folders(sweep, TRIALS).query("outcome != 'error'")
+    trials = finished(sweep)
     rows = Parallel(n_jobs=2)(delayed(outcome_of)(row, axes) for row in trials.to_dict("records"))
     policies = pd.DataFrame(rows)
     policies.to_csv(path, index=False, lineterminator="\n")
