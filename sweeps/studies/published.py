@@ -24,6 +24,7 @@ from simbias.sweep.results import published
 
 SAME = ("outcome", "experiments", "iterations", "test_episodes", "hardware_seconds")
 HEAD = ("sweep", "trials", "share of 20 starts that they hold", "hold 18 of 20 starts", "last a minute twice")
+HEAD += ("trials that succeed", "share that these hold")
 
 
 def compared(name: str, trials: int, episodes: int) -> pd.DataFrame:
@@ -52,10 +53,12 @@ def compared(name: str, trials: int, episodes: int) -> pd.DataFrame:
 def held(rows: pd.DataFrame) -> Iterator[list[str]]:
     """Of each sweep: the mean share of test episodes, how many policies hold nine in ten, and a minute."""
     for name, tested in rows.groupby("sweep", sort=False):
-        shares = [episodes.count("1") / len(episodes) for episodes in tested["test_episodes"]]
-        counts = sum(share >= 0.9 for share in shares), int((tested["long_success_rate"] == 1).sum())
-        n = len(tested)
-        yield [str(name), str(n), statistics.mean_text(shares, ".0%"), *(counted_share(k, n) for k in counts)]
+        shares = tested["test_episodes"].map(lambda episodes: episodes.count("1") / len(episodes))
+        succeeded = shares[tested["outcome"] == "succeeded"]
+        n, counts = len(tested), [(shares >= 0.9).sum(), (tested["long_success_rate"] == 1).sum()]
+        means = [statistics.mean_text(some.tolist(), ".0%") for some in (shares, succeeded)]
+        counted = [counted_share(int(k), n) for k in counts]
+        yield [str(name), str(n), means[0], *counted, str(len(succeeded)), means[1]]
 
 
 def main() -> int:

@@ -18,6 +18,7 @@ import pytest
 from conftest import ROOT
 from errors import one_line
 from paired import paired
+from published import HEAD, held
 from shipped import shortened
 from side_by_side import side_by_side
 from sweeping import sweep_folder, table
@@ -206,6 +207,8 @@ def test_readme_shows_the_published_tables(monkeypatch: pytest.MonkeyPatch) -> N
     trials = results.published(sweep)
     assert list(policies["repetition"]) == list(trials["repetition"])
     assert last_policies.table(sweep, trials, policies) in README
+    tested = pd.read_csv(RESULTS / "last_policies" / "policies.csv", dtype={"test_episodes": str})
+    assert markdown.table(HEAD, held(tested)) in README
 
 
 def test_the_optimizers_table_is_that_of_its_searches() -> None:
