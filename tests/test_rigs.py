@@ -12,6 +12,7 @@ import pytest
 from conftest import ROOT
 from models import with_values
 from pendulum import pendulum
+from recordings import choices
 
 from simbias.core import Nominal
 from simbias.core.parameters import values_at
@@ -116,6 +117,15 @@ def test_at_the_end_test_recordings_are_predicted(study: Callable[..., pd.DataFr
     found = study("--test", "--ways", "lab")
     assert found.groupby("number")["learned"].nunique().to_dict() == {"one": 3, "several": 1}
     assert (found["ratio"] == 1.0).all()
+
+
+def test_recordings_that_are_learned_from_are_counted() -> None:
+    """Of four, where five are asked for, all are learned from."""
+    counts = [(count, len(names)) for _, count, names in choices([f"excitation_{i}" for i in range(4)])]
+    assert counts[-1] == (4, 4)
+    assert all(count == number for count, number in counts)
+    table = pd.read_csv(ROOT / "sweeps" / "results" / "recordings" / "recordings.csv")
+    assert (table["learned"].str.split().str.len() == table["count"]).all()
 
 
 def test_errors_are_told_as_published_ones_are() -> None:

@@ -79,7 +79,7 @@ def choices(files: Sequence[str]) -> Iterator[tuple[str, int, tuple[str, ...]]]:
         some = list(itertools.combinations(own, count)) or ([tuple(own)] if count == COUNTS[-1] else [])
         step = max(1, -(-len(some) // MOST))
         for names in some[::step] if count > 1 else some:
-            yield kind, count, names
+            yield kind, len(names), names  # of four all, where five are asked for
 
 
 def models(folder: Path, rollouts: Sequence[Rollout]) -> Iterator[tuple[str, Nominal, FittedBias | None]]:
@@ -167,14 +167,16 @@ def figure(table: pd.DataFrame, file: Path) -> None:
     order = [model for model in dict.fromkeys(table["model"]) if model != "lab"]
     fig, all_axes = pyplot.subplots(1, len(KINDS), figsize=(7.2, 3.0), sharey=True, layout="constrained")
     for axes, kind in zip(all_axes, KINDS, strict=True):
+        of_kind = each[each["kind"] == kind]
+        counts = sorted(of_kind["count"].unique())
         for i, model in enumerate(order):
-            own = each[(each["kind"] == kind) & (each["model"] == model)]
-            places = [COUNTS.index(count) + 0.16 * (i - 1.5) for count in own["count"]]
+            own = of_kind[of_kind["model"] == model]
+            places = [counts.index(count) + 0.16 * (i - 1.5) for count in own["count"]]
             axes.plot(places, own["ratio"], "os^D"[i], markersize=4, color=COLORS[i], alpha=0.8, label=model)
         axes.axhline(1.0, color="0.5", linewidth=0.8)
         axes.set_yscale("log", base=2)
         axes.set_yticks([0.5, 1, 2, 4], ["0.5", "1", "2", "4"])
-        axes.set_xticks(range(len(COUNTS)), [str(count) for count in COUNTS])
+        axes.set_xticks(range(len(counts)), [str(count) for count in counts])
         axes.set_title(f"learned from {kind}", fontsize="medium")
     all_axes[0].set_ylabel("error over the lab's model")
     fig.supxlabel("recordings learned from", fontsize="medium")
