@@ -80,14 +80,15 @@ def test_policies_are_searched_on_the_hardware_of_a_sweeps_cell(study: Study, tm
 
 @pytest.mark.usefixtures("uncompiled")
 def test_robots_are_tried_by_each_way(study: Study, tmp_path: Path) -> None:
-    ways = ["--ways", "preset", "lqr", "least_squares", "bayesian"]
-    short = ["--seeds", "1", "--experiments", "3", "--set", "optimizer.max_evaluations=5", "task.horizon=20"]
+    ways = ["--ways", "preset", "lqr", "bayesian"]
+    short = ["--seeds", "1", "--experiments", "3", "--test", "0.5"]
+    short += ["--set", "optimizer.max_evaluations=5", "task.horizon=20"]
     study("robots", "robots.csv", "cartpole", *ways, *short)
     tried = pd.read_csv(tmp_path / "robots.csv")
     assert list(tried["way"]) == ways[1:]
     assert tried["test_successes"].between(0, 20).all()
     made = tried.set_index("way")["experiments"]
-    assert 1 <= made["lqr"] <= 2
+    assert made["lqr"] == 2
     assert 1 <= made["bayesian"] <= 4
 
 

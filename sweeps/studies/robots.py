@@ -6,7 +6,6 @@ tries, for each preset and seed,
 
 - `preset`: the preset as it stands; `paper`, `robust`: with the method of `preset=paper`, `preset=robust`;
 - `lqr`: LQR of the nominal model (`method=lqr`), one policy, and nothing is learned;
-- `lqr_identified`: LQR, after each failure of the model identified from all experiments;
 - `bayesian`: Bayesian optimisation of the trial's own policy on the hardware: of the logarithm of an
   experiment's cost.
 
@@ -32,13 +31,11 @@ import simbias
 from simbias.core.records import Array, Rollout
 from simbias.trial.study import Study
 
-LQR = ("method=lqr", "policy=regulator", "bias=none")
 METHODS = {  # overrides, of {preset}
-    "preset": ("preset={preset}",),
-    "paper": ("preset=[{preset},paper]",),
-    "robust": ("preset=[{preset},robust]",),
-    "lqr": ("preset={preset}", *LQR, "identification=none"),
-    "lqr_identified": ("preset={preset}", *LQR, "identification=posterior_forward", "method.identified=true"),
+    "preset": ["preset={preset}"],
+    "paper": ["preset=[{preset},paper]"],
+    "robust": ["preset=[{preset},robust]"],
+    "lqr": ["preset={preset}", "method=lqr", "policy=regulator", "identification=none", "bias=none"],
 }
 WAYS = (*METHODS, "bayesian")
 
