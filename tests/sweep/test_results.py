@@ -291,6 +291,6 @@ def test_two_sweeps_of_the_same_cells_are_compared(
     monkeypatch.setattr(sys, "argv", [program, "table2", "table2_box2d"])
     runpy.run_path(program, run_name="__main__")
     text = capsys.readouterr().out
-    assert "difference: -0.64 [-1.47, 0.20]" in text
+    assert "difference: -0.64 [-1.53, 0.27]" in text
     assert "cells with more, with fewer: 8, 15; sign test, p = 0.21" in text
     assert "equivalent over cells within experiments of: 2" in text
