@@ -43,6 +43,7 @@ class Assessment:
     predictions: Sequence[Prediction]
     mistakes: Sequence[Mistake]  # of signs and columns
     by_window: Mapping[float, float]  # deviations with windows of so many s, over those of `identified`
+    steps_checked: bool  # whether it is known how far shorter steps of integration would move parameters
 
     @property
     def task(self) -> Task:
@@ -203,13 +204,14 @@ def assess(
         all_parts,
         kept,
         models,
-        findings(identified, alone, by_window, shorter),
+        findings(identified, alone, by_window, 0.0 if shorter is None else shorter),
         predictions(study.task, study.nominal, models, [part.rollouts for part in judged], learned),
         mistakes(study.task, [study.nominal, identified], recordings),
         {
             factor * posterior.window: other.mean_deviation / identified.mean_deviation
             for factor, other in zip(OTHER_WINDOWS, by_window, strict=True)
         },
+        shorter is not None,
     )
     return assessment.doubted(doubt)
 

@@ -158,6 +158,8 @@ def advice(assessment: Assessment, excitation: Excitation | str) -> Iterator[str
     stepped = [finding.estimate.name for finding in assessment.findings if STEP_DOUBT in finding.doubts]
     if stepped:
         yield f"Shorter steps of integration would move {', '.join(stepped)}: {SHORTER}."
+    if not assessment.steps_checked:
+        yield "Whether shorter steps of integration would move parameters could not be checked."
     window, share = min(assessment.by_window.items(), key=itemgetter(1))
     if share < NARROWER and not assessment.mistakes:
         narrower = f"With windows of {window:g} s, deviations are {share:.0%} of these on average"

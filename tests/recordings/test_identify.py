@@ -230,6 +230,8 @@ def test_what_is_advised_may_help(assessment: Assessment) -> None:
     stepped = replace(first, doubts=(STEP_DOUBT,))
     said = next(advice(replace(assessment, findings=[stepped, *others]), "none"))
     assert said.startswith(f"Shorter steps of integration would move {first.prior.name}: take a smaller ")
+    said = next(advice(replace(assessment, steps_checked=False), "none"))
+    assert said == "Whether shorter steps of integration would move parameters could not be checked."
     said = [
         next(advice(replace(assessment, by_window={0.05: 1.6, 0.2: share}), "none")) for share in (0.7, 0.9)
     ]

@@ -15,8 +15,9 @@ from simbias.learning.identification.posterior import Posterior
 from simbias.learning.identification.problem import Comparison
 from simbias.simulation.open_loop import plain
 
-SHORTER, SHORTEST = 10, 16  # steps of a frame
-AGREE = 0.5  # of what they change: where these two differ more, the model has steps of its own
+STEPS = (10, 16), (40, 64), (160, 256)  # of a frame; the model's own may be as short as the first ones
+AGREE = 0.5  # of what two change: where these differ more, shorter ones are tried
+SAME_RATE = 0.3  # of the rates in two short frames: where these differ more, the model has steps of its own
 
 
 @final
@@ -41,6 +42,10 @@ class Refined(Nominal):
         """That of the model, in as many frames."""
         return Refined(self._model.without_input_limits(), self._frames)
 
+    def rate(self, x: Array, u: Array) -> Array:
+        """How far (..., n) a frame would lead if all of it were like its first short one."""
+        return self._frames * (self._model.step(x, u) - x)
+
 
 def moved_by_shorter_steps(
     task: Task,
@@ -50,33 +55,43 @@ def moved_by_shorter_steps(
     fitted: Identified,
     rollouts: Sequence[Rollout],
     recordings: Sequence[str],
-) -> Array:
+) -> Array | None:
     """How far (p,) the mode would move, in its standard deviations, to first order.
 
-    Zeros of a model that cannot be made for shorter frames, or that remembers its last ones, or has steps of
+    None of a model that cannot be made for shorter frames, or that remembers its last ones, or has steps of
     its own, of which frames are no whole number; and where an earlier posterior is known.
     """
-    still = np.zeros(len(fitted.parameters))
     # The precision of an earlier posterior is not at hand.
     if nominal.state_size or fitted.errors is None or posterior.begins_with_known:
-        return still
-    try:
-        refined = [_refined(nominal_of, task, steps) for steps in (SHORTER, SHORTEST)]
-    except Exception:  # an own model may refuse
-        return still
-    if refined[0].parameters != nominal.parameters:
-        return still
+        return None
     windows = posterior.windows(rollouts, recordings)
     coarse = Comparison(posterior.prior(nominal), windows)
     coarse.errors = fitted.errors
     z = coarse.coordinates(fitted)
-    # In NumPy: they predict once, and to compile them would take longer.
-    fine = [Comparison(posterior.prior(each), windows, plain) for each in refined]
-    errors, *others = (each.prediction_errors(z[None])[0] for each in (coarse, *fine))
-    shorter, shortest = (each - errors for each in others)
-    if np.linalg.norm(shortest - shorter) > AGREE * np.linalg.norm(shortest):
-        return still
-    return np.abs(coarse.shift(z, shortest)[: len(still)]) / np.sqrt(np.diag(fitted.covariance))
+    errors = coarse.prediction_errors(z[None])[0]
+    for pair in STEPS:
+        try:
+            refined = [_refined(nominal_of, task, steps) for steps in pair]
+        except Exception:  # an own model may refuse
+            return None
+        if refined[0].parameters != nominal.parameters:
+            return None
+        # In NumPy: they predict once, and to compile them would take longer.
+        fine = [Comparison(posterior.prior(each), windows, plain) for each in refined]
+        shorter, shortest = (each.prediction_errors(z[None])[0] - errors for each in fine)
+        if _differ(shorter, shortest) <= AGREE:
+            # As of a first-order integrator.
+            limit = shortest + (shortest - shorter) / (pair[1] / pair[0] - 1)
+            moved = np.abs(coarse.shift(z, limit)[: len(fitted.parameters)])
+            return np.asarray(moved / np.sqrt(np.diag(fitted.covariance)))
+        if _differ(*(each.rate(windows.begin, windows.inputs) for each in refined)) > SAME_RATE:
+            return None
+    return None
+
+
+def _differ(one: Array, other: Array) -> float:
+    """Their distance over the size of the other."""
+    return float(np.linalg.norm(other - one) / max(np.linalg.norm(other), np.finfo(float).tiny))
 
 
 def _refined(nominal_of: Callable[[Task], Nominal], task: Task, steps: int) -> Refined:
