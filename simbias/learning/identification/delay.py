@@ -28,6 +28,7 @@ class Delay(Identification):
     For each delay, Gaussian processes of the nominal model's residuals, with learned hyper-parameters, are
     functions of the states and of the inputs that act. Their marginal likelihood tells the delay: with a
     wrong one, the processes see inputs that did not cause the residuals, and take the difference for noise.
+    A lag counts as a delay.
 
     Parameters
     ----------
@@ -65,6 +66,7 @@ class Delay(Identification):
         best = copy(candidates[int(np.argmax(log_evidence))])
         if rollouts:
             best.estimates = (_estimate(self._delays, probabilities),)
+            best.at_longest = best.delay == self._delays[-1]
         if self._draws:
             best.drawn_from = candidates, probabilities
         return best
@@ -104,9 +106,10 @@ class Late(Nominal):
     """
 
     drawn_from: tuple[Sequence[Late], Array] | None = None
+    at_longest = False  # whether no longer delay was considered
 
     def __init__(self, task: Task, nominal: Nominal, delay: float, taps: int) -> None:
-        self._task = task
+        self._task, self.delay = task, delay
         self._actuators = Actuators([Actuator(delay=delay)] * len(task.inputs), task.time_step, taps)
         self.state_size = self._actuators.state_size
         self.acting = tuple(range(0, self.state_size, 1 + taps))
