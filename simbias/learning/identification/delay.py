@@ -84,12 +84,13 @@ class Delay(Identification):
 def _estimate(delays: Array, probabilities: Array) -> Estimate:
     """The most probable delay, the shortest of several, and an interval with it and 90% of the mass.
 
-    Each delay that is considered stands for those up to half a step from it.
+    The interval reaches to the neighbours of what is considered: the likelihood of a model that is not exact
+    is too sure of one.
     """
-    half = 0.5 * float(delays[-1] - delays[0]) / max(1, len(delays) - 1)
+    step = float(delays[-1] - delays[0]) / max(1, len(delays) - 1)
     below, value = np.cumsum(probabilities), float(delays[np.argmax(probabilities)])
     low, high = delays[[int(np.sum(below < share)) for share in (0.05, 0.95)]].tolist()
-    return Estimate("delay", "s", 0.0, value, max(0.0, min(low, value) - half), max(high, value) + half)
+    return Estimate("delay", "s", 0.0, value, max(0.0, min(low, value) - step), max(high, value) + step)
 
 
 @final
