@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from simbias.config.copies import Copies
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 JOBS = ("env", "help", "hydra_help", "hydra_logging", "job_logging", "launcher", "output", "sweeper")
 WITHOUT_JOBS = [f"hydra/{group}=[]" for group in JOBS]  # which Hydra runs none of here: a fourth of its time
 
+ONE_OPTION = "takes one option; of presets alone there may be several"
+HINTS = {"identification": "; a posterior knows delays, too: identification.motors={NAME: {delay: 0.01}}"}
 SEVERAL = "has several values: a list needs brackets, many trials are a sweep (+sweep=NAME)"
 
 
@@ -46,6 +49,10 @@ def composed(overrides: Sequence[str], config_dir: str | None, grid: bool, files
         overrides = [*overrides, f"hydra.searchpath=['{option_files.SCHEME}://{escaped}']"]
     given = parsed(overrides)
     values = {each.key_or_group: each.value() for each in given}  # the last of each
+    folders = [resource_folder("conf"), *([] if config_dir is None else [Path(config_dir)])]
+    for group, value in values.items():
+        if isinstance(value, list) and group != "preset" and any((each / group).is_dir() for each in folders):
+            raise ConfigError(group, f"{ONE_OPTION}{HINTS.get(group, '')}")
     try:
         if isinstance(sweep := values.get("sweep"), str):
             register_sweep(sweep, config_dir, grid)

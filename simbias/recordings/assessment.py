@@ -129,7 +129,8 @@ def prepared(study: Study) -> Study:
     """
     study, posterior = study.without_targets, study.identification
     if not isinstance(posterior, Posterior):
-        raise ConfigError("identification", "identifies no posterior; identification=posterior does")
+        does = "identification=posterior does, of the delays of its motors, too"
+        raise ConfigError("identification", f"identifies no posterior; {does}")
     try:
         known = posterior.fit(study.nominal, [])
     except ValueError as error:

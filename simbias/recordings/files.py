@@ -50,7 +50,8 @@ def check_replaces_nothing(study: Study, folder: Path, option: Path) -> None:
         if Path(file).resolve() in written:
             raise ConfigError("--into", f"would replace {file}, which the nominal model is read from")
     own = option.is_file() and option.read_text(encoding="utf-8").startswith(head(folder, option))
-    if option.stem == study.choices[GROUP] or (not own and option.stem in options(option.parents[1])[GROUP]):
+    others = not own and option.stem in options(option.parents[1])[GROUP]
+    if others or option.stem == study.choices.get(GROUP):
         raise ConfigError("--into", f"would replace {GROUP}={option.stem}: choose another folder")
     try:
         for made in folder, option.parent:

@@ -42,6 +42,8 @@ BAD = {  # by override: its key, and what is said of it
     "~bias": ("bias", "missing"),
     "bias.d=[1": ("bias.d=[1", "cannot be parsed (no viable alternative at input '[1'); quotes keep"),
     "+task.goal={x: log(t)}": ("+task.goal=", "an expression is quoted, as in {x: 'sin(t)'}"),
+    "bias=[gp,none]": ("bias", "takes one option; of presets alone there may be several"),
+    "identification=[delay,posterior]": ("identification", "identification.motors={NAME: {delay: 0.01}}"),
     "bias=gp,none": ("bias=gp,none", "a list needs brackets, many trials are a sweep (+sweep=NAME)"),
     "seed=range(1,3)": ("seed=range(1,3)", "a list needs brackets, many trials are a sweep (+sweep=NAME)"),
     "seed=???": ("seed", "Missing mandatory value"),
