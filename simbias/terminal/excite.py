@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
 from simbias.config import ConfigError
+from simbias.core.errors import reason
 from simbias.core.records import Array
 from simbias.learning.identification.posterior import Posterior
 from simbias.learning.noise import noise_of
@@ -35,6 +38,10 @@ def excite(request: Request, seconds: float, file: Path) -> None:
     if not LEAST <= seconds <= MOST:
         raise ConfigError("--seconds", f"must be from {LEAST:g} to {MOST:g}, got {seconds:g}")
     console = standard_output()
+    with _writing(file):  # before inputs are looked for, which takes long
+        file.parent.mkdir(parents=True, exist_ok=True)
+        if file.is_dir():
+            raise IsADirectoryError("it is a folder")
     study, given, _ = request.opened(console)
     learned = given.pieces
     with slowness_in_one_line(), progress(console) as tell_of:
@@ -44,10 +51,8 @@ def excite(request: Request, seconds: float, file: Path) -> None:
         model = posterior.fit(study.nominal, learned.rollouts, learned.recordings)
         designer = Designer(study, model, noise_of(learned.rollouts) if learned.rollouts else None)
         found = designer.design(seconds, TRAJECTORIES, np.random.default_rng(study.seed))
-    try:
+    with _writing(file):
         trajectory(study.task, found.rollout).to_csv(file, index=False, float_format="%.6g")
-    except OSError as error:
-        raise ConfigError(str(file), f"cannot be written ({error.strerror})") from error
     names = ("parameter", "unit", "deviation now", "afterwards")
     rows = [
         (parameter.name, parameter.unit, f"{before:.2f}", f"{after:.2f}")
@@ -62,6 +67,15 @@ def excite(request: Request, seconds: float, file: Path) -> None:
         say(console, "From recordings, in place of their option, how the model errs would count, too.")
     say(console, f"On the most probable model and {MODELS - 1} draws, within {_extremes(study, found)}.")
     say(console, f"Look at it:  {file}")
+
+
+@contextmanager
+def _writing(file: Path) -> Iterator[None]:
+    """Errors of the system are one line that names the file."""
+    try:
+        yield
+    except OSError as error:
+        raise ConfigError(str(file), f"cannot be written ({reason(error)})") from error
 
 
 def recovery(request: Request) -> bool:

@@ -263,6 +263,7 @@ REFUSED = [
     (["~/moon.csv"], "~/moon.csv: no such recording (.csv, "),
     (["identification.each=[moon]"], "identification.each: no moon; there is mass_1, "),
     ([KNOWN], "identification.known: is of moon; the nominal model's parameters are mass_1, "),
+    (["--into=."], ".: cannot be written (it is a folder)\n"),
     (["--seconds=0.05"], "identification.window: 0.1 s are more than inputs of 0.05 s\n"),
     (["--seconds=0.03"], "task.time_step: 0.002 s are too long for inputs of 0.03 s: 20 frames at least\n"),
     (["hardware.safety.states={vel1: 1e-6}"], "hardware.safety: no inputs were found that keep "),
@@ -287,17 +288,17 @@ def test_the_commands(
 ) -> None:
     monkeypatch.setattr("simbias.terminal.excite.TRAJECTORIES", 10)
     arguments = ["preset=double_pendulum", *QUICK[1:], "hardware.safety.states={vel1: 12, vel2: 15}"]
-    assert main(["excite", *arguments, "--seconds", "1", "--into", "torques.csv"]) == 0
+    assert main(["excite", *arguments, "--seconds", "1", "--into", "new/torques.csv"]) == 0
     out = capsys.readouterr().out
     assert re.search(r"^friction_2 +N m +1\.00  0\.\d\d$", out, re.MULTILINE)
     assert re.search(
         r"^As if the model were exact, with white noise of pos1 0\.0\d+ rad, ", out, re.MULTILINE
     )
     assert "On the most probable model and 15 draws, within |pos1| < " in out
-    written = pd.read_csv(folder / "torques.csv")
+    written = pd.read_csv(folder / "new" / "torques.csv")
     assert list(written) == ["time", "pos1", "pos2", "vel1", "vel2", "tau1", "tau2"]
     assert len(written) == 500
-    assert main(["identify", "--recover", "torques.csv", *arguments]) == 0
+    assert main(["identify", "--recover", "new/torques.csv", *arguments]) == 0
     assert re.search(r"^friction_2 +N m .* yes$", capsys.readouterr().out, re.MULTILINE)
     assert main(["identify", *arguments]) == 2
     said = "simbias: identify: needs recordings that are not held out: files or folders\n"
