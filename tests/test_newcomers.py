@@ -21,7 +21,7 @@ from simbias.core.commands import BAD_INPUT
 from simbias.core.ranges import frames_in
 from simbias.core.records import Array, Rollout, Selection, Transitions
 from simbias.learning.bias.none import NoBias
-from simbias.learning.samples.thresholds import Thresholds, Windows
+from simbias.learning.samples.thresholds import Thresholds, WindowLengths
 from simbias.terminal.trial import TrialConsole, cost_text
 from simbias.testing.rehearsal import rehearse
 from simbias.trial import diagnostics as remarks
@@ -177,7 +177,7 @@ def test_an_iteration_without_samples_says_why(point_mass: Study) -> None:
         (1, "all 6 were rejected: residual 6"),
     )
     for window, why in spans:
-        samples = Thresholds(point_mass.task, window=Windows(true_state=window), residual=1e-6)
+        samples = Thresholds(point_mass.task, window=WindowLengths(true_state=window), residual=1e-6)
         text = shown(replace(point_mass, samples=samples, method=Algorithm1(max_iterations=2)))
         assert f"no samples to learn from: {why}" in text
     (remark,) = remarks.of_selection(Selection(Transitions.empty(2, 1), 70, 0, {}))
@@ -201,8 +201,10 @@ def test_a_span_in_seconds_is_whole_frames(point_mass: Study) -> None:
         with pytest.raises(ConfigError, match=r"^samples\.stride: must be "):
             simbias.load([f"samples.stride={wrong}", "tracking=none"])
     rollouts = [point_mass.experiment(np.array([4.0, 4.0, -2.0]), np.random.default_rng(1))]
-    frames = Thresholds(point_mass.task, stride=2, window=Windows(true_state=4), residual=None)
-    seconds = Thresholds(point_mass.task, stride="40 ms", window=Windows(true_state="80 ms"), residual=None)
+    frames = Thresholds(point_mass.task, stride=2, window=WindowLengths(true_state=4), residual=None)
+    seconds = Thresholds(
+        point_mass.task, stride="40 ms", window=WindowLengths(true_state="80 ms"), residual=None
+    )
     one, other = (each.select(rollouts, point_mass.nominal).transitions for each in (frames, seconds))
     np.testing.assert_array_equal(one.inputs, other.inputs)
     assert len(one) == 49

@@ -1,6 +1,6 @@
 """Evaluations in an optimizer's search: inside the box, counted, up to a limit, the best point kept."""
 
-# No `from __future__ import annotations`: constructors in other modules inherit the types of Budget's fields.
+# No `from __future__ import annotations`: constructors elsewhere inherit the types of SearchBudget's fields.
 
 import math
 import time
@@ -29,7 +29,7 @@ class SearchEnded(Exception):  # noqa: N818 (no error, as StopIteration is none)
 
 
 @dataclass(kw_only=True, eq=False)
-class Budget:
+class SearchBudget:
     """When a search, or each stage of one that has two, ends.
 
     Parameters
@@ -77,7 +77,7 @@ class Evaluations:
         objective: Callable[[Array], float],
         lower: Array,
         upper: Array,
-        budget: Budget,
+        budget: SearchBudget,
         target_cost: float = np.inf,
         ends_at_target: bool = False,
     ) -> None:

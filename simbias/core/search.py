@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple, Protocol, Self
 
 import numpy as np
 
-from simbias.core.evaluations import Budget, Evaluations
+from simbias.core.evaluations import Evaluations, SearchBudget
 from simbias.core.model import Model
 from simbias.core.objective import Objective, as_objective
 from simbias.core.records import Array, Indices, Optimum, Rollout
@@ -107,7 +107,7 @@ class Evaluation(ABC):
         """The predicted cost as a function of theta; what it samples is drawn once, from rng."""
 
 
-class Optimizer(Budget, ABC):
+class Optimizer(SearchBudget, ABC):
     """A minimiser over a box; its constructor takes its budget and what it needs beside."""
 
     @abstractmethod

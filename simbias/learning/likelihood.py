@@ -18,7 +18,7 @@ REACH = 10.0  # deviations of the priors; beyond, where a line search may try, d
 
 
 @dataclass(frozen=True)
-class Learning:
+class HyperPriors:
     """Standard deviations of the priors of the hyper-parameters' logarithms; 0 keeps the median."""
 
     length_scale: Spread = 1.0  # 1 takes a factor e for one standard deviation
@@ -27,7 +27,7 @@ class Learning:
     points: Count = 200  # at most, evenly spaced in the data
 
 
-def learn(medians: Hyperparameters, transitions: Transitions, learning: Learning) -> Hyperparameters:
+def learn(medians: Hyperparameters, transitions: Transitions, learning: HyperPriors) -> Hyperparameters:
     """The most probable length scales, signal variance and ratio of noise to signal, given the data.
 
     All outputs share them, each over its root mean square; those that are rounding have no say. It is the
@@ -38,7 +38,7 @@ def learn(medians: Hyperparameters, transitions: Transitions, learning: Learning
 
 
 def mode(
-    medians: Hyperparameters, transitions: Transitions, learning: Learning
+    medians: Hyperparameters, transitions: Transitions, learning: HyperPriors
 ) -> tuple[Hyperparameters, float]:
     """Hyper-parameters as `learn` finds them, and the log of the marginal likelihood times the priors there.
 

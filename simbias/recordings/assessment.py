@@ -18,7 +18,7 @@ from simbias.learning.identification.identified import Identified
 from simbias.learning.identification.posterior import Posterior
 from simbias.learning.identification.refinement import moved_by_shorter_steps
 from simbias.recordings.findings import Finding, findings
-from simbias.recordings.horizons import Prediction, overall, predictions
+from simbias.recordings.horizons import HorizonErrors, overall, predictions
 from simbias.recordings.mistakes import Mistake, mistakes
 from simbias.recordings.parts import Part, others, parts
 from simbias.recordings.reach import Reach, beyond
@@ -40,7 +40,7 @@ class Assessment:
     held_out: Part | None
     models: Sequence[Identified]  # (parts, then held out) that were not fitted to the part
     findings: Sequence[Finding]
-    predictions: Sequence[Prediction]
+    predictions: Sequence[HorizonErrors]
     mistakes: Sequence[Mistake]  # of signs and columns
     by_window: Mapping[float, float]  # deviations with windows of so many s, over those of `identified`
     steps_checked: bool  # whether it is known how far shorter steps of integration would move parameters

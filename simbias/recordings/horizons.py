@@ -29,14 +29,14 @@ MOST_RATIO = 1e3  # of errors, or one over it: what blows up counts as this
 
 
 @dataclass(frozen=True, eq=False)
-class Prediction:
+class HorizonErrors:
     """Errors of predictions so far ahead, from measured states under measured inputs, by part."""
 
     seconds: float
     nominal: tuple[Array, ...]  # of each part (w, n)
     identified: tuple[Array, ...]  # by models that were not fitted to the part
     spreads: tuple[Array, ...]  # (w, n, n) of each prediction among models and starts as they may be
-    known: Known | None = None  # what regions are estimated from; None: of each part, the other parts
+    known: HeldOutErrors | None = None  # what regions are estimated from; None: of each part, the other parts
     changes: tuple[Array, ...] = ()  # (w, n) as predicted; none if parts are the known recordings
     noises: tuple[Array, ...] = ()  # (n,) standard deviations of each part's measured states
 
@@ -82,17 +82,17 @@ class Prediction:
             return np.nan
         return float(np.sqrt(np.quantile(own, REGION) / _normal_limit(n)))
 
-    def _others(self, index: int) -> Known:
+    def _others(self, index: int) -> HeldOutErrors:
         """Errors on all parts but one."""
         rest = [j for j in range(len(self.identified)) if j != index]
         errors, spreads = (
             np.concatenate([each[j] for j in rest] or [each[index][:0]])
             for each in (self.identified, self.spreads)
         )
-        return Known(errors, spreads)
+        return HeldOutErrors(errors, spreads)
 
 
-class Known(NamedTuple):
+class HeldOutErrors(NamedTuple):
     """Errors of predictions by models that were not fitted to what they predict."""
 
     errors: Array  # (v, n)
@@ -110,7 +110,7 @@ def predictions(
     identified: Sequence[Nominal],
     parts: Sequence[Sequence[Rollout]],
     learned: Sequence[tuple[Nominal, Sequence[Rollout]]] = (),
-) -> list[Prediction]:
+) -> list[HorizonErrors]:
     """Predictions of each part by the nominal and by the part's identified model, as far as parts last.
 
     Regions are estimated from the errors of `learned` models on rollouts that each was not fitted to; without
@@ -119,10 +119,10 @@ def predictions(
     longest = min(max(rollout.frames for rollout in part) for part in parts)
     noises = tuple(_noise_of_part(part) for part in parts)
 
-    def ahead(k: int) -> Prediction:
+    def ahead(k: int) -> HorizonErrors:
         pairs = list(zip(identified, parts, strict=True))
         wrong = tuple(errors(model, part, k) for model, part in pairs)
-        return Prediction(
+        return HorizonErrors(
             float(f"{k * task.time_step:.6g}"),
             tuple(errors(nominal, part, k) for part in parts),
             wrong,
@@ -154,13 +154,13 @@ def over_recorded(
     return over
 
 
-def _known(learned: Sequence[tuple[Nominal, Sequence[Rollout]]], frames: int) -> Known:
+def _known(learned: Sequence[tuple[Nominal, Sequence[Rollout]]], frames: int) -> HeldOutErrors:
     """Errors of models this number of frames ahead, each on the rollouts beside it."""
     wrong, spreads = (
         np.concatenate([of(model, rollouts, frames) for model, rollouts in learned])
         for of in (errors, spread)
     )
-    return Known(wrong, spreads)
+    return HeldOutErrors(wrong, spreads)
 
 
 def _noise_of_part(rollouts: Sequence[Rollout]) -> Array:
@@ -235,12 +235,12 @@ def inside(wrong: Array, covariances: Array) -> Flags:
     return sizes(wrong, covariances) <= _normal_limit(wrong.shape[1])
 
 
-def overall(made: Sequence[Prediction], part: int | None = None) -> float:
+def overall(made: Sequence[HorizonErrors], part: int | None = None) -> float:
     """Identified over nominal error: the geometric mean over states and horizons."""
     return geometric_mean(np.array([prediction.ratio(part) for prediction in made]))
 
 
-def by_state(made: Sequence[Prediction]) -> Array:
+def by_state(made: Sequence[HorizonErrors]) -> Array:
     """Identified over nominal error of each state (n,): the geometric mean over horizons."""
     return np.exp(np.mean([np.log(_ratios(*prediction.rmse()[::-1])) for prediction in made], axis=0))
 

@@ -11,8 +11,8 @@ import numpy as np
 from simbias.core import Cost, Kernel, Model
 from simbias.core.records import Array, Disturbance, Indices, Rollout
 from simbias.simulation.compiler import (
-    Composition,
     Function,
+    LoopKernels,
     PolicyKernel,
     compile_closed_loop,
     in_threads,
@@ -138,10 +138,10 @@ class CompiledSimulator:
         in_threads(loop, k)
         return batch
 
-    def _composition(self, terms: Kernel | None, cost: Cost | None) -> Composition:
+    def _composition(self, terms: Kernel | None, cost: Cost | None) -> LoopKernels:
         """The functions and sizes that the closed loop is compiled from."""
         model, policy = self.models[0], self.policy
-        return Composition(
+        return LoopKernels(
             measure=Function.of(self.measure),
             control=Function(policy.function, len(policy.constants)),
             step=Function.of(self.nominal),

@@ -23,7 +23,7 @@ from simbias.sweep import results, tables
 from simbias.sweep.figure import SweptTrials
 from simbias.sweep.grid import Sweep, Trial
 from simbias.sweep.tracking import Export, Tracking
-from simbias.sweep.worker import GONE, Plan, Result, code, pack, unpack
+from simbias.sweep.worker import GONE, PlannedTrial, Result, code, pack, unpack
 from simbias.trial.folder import TakenError, TrialFolder
 from simbias.trial.origin import provenance, tell_what_is_in_clear
 from simbias.trial.run import TrialRecord, read_trial
@@ -119,17 +119,17 @@ class SweepState:
         raised = (row["outcome"] == Outcome.ERROR for row in self._rows.values())
         return not self._partial and not self.waits and not all(raised)
 
-    def plan(self, trial: Trial, shares_disk: bool) -> Plan:
+    def plan(self, trial: Trial, shares_disk: bool) -> PlannedTrial:
         """A trial as a worker needs it."""
         folder = self._store.trial_folder(trial.hash)
         composition = replace(trial.composition, from_environment=())  # which has been told
         digests = None if shares_disk else code(composition)
         if folder is None:
-            return Plan(composition, code=digests)
+            return PlannedTrial(composition, code=digests)
         marker = "" if shares_disk else str(self._marker)
         kept = pack(folder) if marker and TrialFolder(folder).steps() else b""
         pictures = _pictures(trial.repetition, self._store)
-        return Plan(composition, str(folder.absolute()), marker, kept, pictures, digests)
+        return PlannedTrial(composition, str(folder.absolute()), marker, kept, pictures, digests)
 
     def taken_in(self, trial: Trial, result: Result) -> Result:
         """A result, its folder laid out if a worker sent it; of a trial that runs here meanwhile, none."""

@@ -28,7 +28,7 @@ OTHER_CODE = "{} has other code there than where the sweep was started"
 GONE = "the folder {} is gone: was it moved while the sweep ran? Move it back, and start the sweep again"
 
 
-class Plan(NamedTuple):
+class PlannedTrial(NamedTuple):
     """A trial that is to be run."""
 
     composition: Composition
@@ -47,7 +47,7 @@ class Result(NamedTuple):
     packed: bytes = b""  # its folder, of a worker that shares no disk
 
 
-def run_plan(plan: Plan) -> Result:
+def run_plan(plan: PlannedTrial) -> Result:
     """Run or resume a trial; without a shared disk in a folder of its own, as only what is sent counts."""
     apart = bool(plan.marker) and not Path(plan.marker).exists()
     folder = None if plan.folder is None else Path(plan.folder)

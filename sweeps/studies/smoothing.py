@@ -28,7 +28,7 @@ from scipy.signal import savgol_filter
 import simbias
 from simbias.core import Nominal
 from simbias.core.records import Array, Rollout, Transitions
-from simbias.learning.samples.thresholds import Thresholds, Windows
+from simbias.learning.samples.thresholds import Thresholds, WindowLengths
 from simbias.simulation.noise import Noise
 from simbias.trial.study import Study
 
@@ -117,7 +117,7 @@ def transitions(study: Study, rollouts: list[Rollout], window: int, limited: boo
     config = study.config["samples"]
     limits = config["limits"] if limited else EVERYTHING
     residual = config["residual"] if limited else 1e9
-    samples = Thresholds(study.task, config["stride"], limits, residual, Windows(window, window))
+    samples = Thresholds(study.task, config["stride"], limits, residual, WindowLengths(window, window))
     return samples.select(rollouts, study.nominal).transitions
 
 

@@ -15,7 +15,7 @@ from simbias.config import ConfigError, compose
 from simbias.config.allowed import NOTHING
 from simbias.config.build import build
 from simbias.sweep.grid import expand
-from simbias.sweep.worker import Plan, run_plan
+from simbias.sweep.worker import PlannedTrial, run_plan
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("uncompiled")]
 
@@ -120,8 +120,8 @@ def test_workers_are_told(project: Path) -> None:
     short = ["task.horizon=20", "optimizer.max_evaluations=2", "method.max_iterations=1", "tracking=none"]
     trial = compose(["bias=beside", *short], "conf").trial
     assert trial.own == (("beside",), (str(project / "conf"),))
-    assert run_plan(Plan(trial)).summary.outcome.final
-    assert "--allow beside" in run_plan(Plan(replace(trial, own=NOTHING))).summary.reason
+    assert run_plan(PlannedTrial(trial)).summary.outcome.final
+    assert "--allow beside" in run_plan(PlannedTrial(replace(trial, own=NOTHING))).summary.reason
 
 
 def test_what_is_allowed_is_no_part_of_a_trials_identity() -> None:

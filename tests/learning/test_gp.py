@@ -23,7 +23,7 @@ from simbias.learning.bias.posterior import exact
 from simbias.learning.covariance import Hyperparameters, correlation, stable_cholesky
 from simbias.learning.identification.delay import Delay
 from simbias.simulation.compiler import LANES, compile_closed_loop
-from simbias.sweep.worker import Plan, run_plan
+from simbias.sweep.worker import PlannedTrial, run_plan
 from simbias.terminal.notices import slowness_in_one_line
 from simbias.trial.study import Study
 from simbias.trial.warm_up import warm_up
@@ -191,7 +191,7 @@ def test_a_sweeps_workers_keep_it_to_themselves(monkeypatch: pytest.MonkeyPatch)
     assert len(iteration.learning.data) > 0
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert run_plan(Plan(trial)).summary.outcome.final
+        assert run_plan(PlannedTrial(trial)).summary.outcome.final
 
 
 def test_repeated_points_need_jitter_and_get_it() -> None:

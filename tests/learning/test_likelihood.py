@@ -17,7 +17,7 @@ import simbias
 from simbias.core.records import Array, Transitions
 from simbias.learning import likelihood
 from simbias.learning.covariance import Hyperparameters
-from simbias.learning.likelihood import LEAST_NOISE, REACH, Learning, learn, log_marginal_likelihood, mode
+from simbias.learning.likelihood import LEAST_NOISE, REACH, HyperPriors, learn, log_marginal_likelihood, mode
 from simbias.trial.study import Study
 
 pytestmark = pytest.mark.slow
@@ -69,7 +69,7 @@ def test_optimum_is_scikit_learns() -> None:
     from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
     data = drawn(Hyperparameters(np.ones(2), np.array([0.7, 1.5]), 1.0, 0.1, 1.0), 60, 1)
-    hyper = learn(medians(2), data, Learning(1e3, 1e3, 1e3))
+    hyper = learn(medians(2), data, HyperPriors(1e3, 1e3, 1e3))
     kernel = ConstantKernel() * RBF(np.ones(2)) + WhiteKernel(np.exp(-4))
     residuals = data.residuals / np.sqrt(np.mean(data.residuals**2))
     reference = GaussianProcessRegressor(kernel, alpha=0.0).fit(data.inputs, residuals).kernel_
@@ -81,7 +81,7 @@ def test_optimum_is_scikit_learns() -> None:
 def test_data_far_from_zero_teach_the_same() -> None:
     data = drawn(medians(2), 60, 1)
     far = Transitions(data.inputs + np.array([1e7, 0.0]), data.residuals)
-    near, there = (learn(medians(2), each, Learning()).length_scale for each in (data, far))
+    near, there = (learn(medians(2), each, HyperPriors()).length_scale for each in (data, far))
     np.testing.assert_allclose(there, near, rtol=1e-3)
 
 
@@ -90,7 +90,7 @@ def test_what_is_learned_is_the_mode_of_likelihood_and_prior() -> None:
     data = drawn(Hyperparameters(np.ones(2), np.full(2, 0.5), 1.0, 0.3, 1.0), 80, 2)
     y = data.residuals / np.sqrt(np.mean(data.residuals**2, axis=0))
     for deviation in (1.0, 0.5):
-        hyper = learn(medians(2), data, Learning(deviation, deviation, deviation))
+        hyper = learn(medians(2), data, HyperPriors(deviation, deviation, deviation))
         ratio = hyper.noise_variance / hyper.signal_variance
         theta = np.log([*hyper.length_scale, hyper.signal_variance, ratio])
         _, slope = log_marginal_likelihood(theta, data.inputs, y)
@@ -101,13 +101,13 @@ def test_what_is_learned_is_the_mode_of_likelihood_and_prior() -> None:
 
 def test_what_has_no_deviation_is_kept() -> None:
     data = drawn(Hyperparameters(np.ones(2), np.full(2, 0.5), 1.0, 0.3, 1.0), 80, 2)
-    before, every = medians(2), learn(medians(2), data, Learning())
+    before, every = medians(2), learn(medians(2), data, HyperPriors())
     assert (every.length_scale != 1).all()
-    lengths_kept = learn(before, data, Learning(length_scale=0))
+    lengths_kept = learn(before, data, HyperPriors(length_scale=0))
     np.testing.assert_allclose(lengths_kept.length_scale, 1.0, rtol=1e-12)
     assert lengths_kept.noise_variance > 2 * before.noise_variance
     for known in (before, replace(before, signal_variance=2.5)):
-        all_kept = learn(known, data, Learning(0, 0, 0))
+        all_kept = learn(known, data, HyperPriors(0, 0, 0))
         assert all_kept.signal_variance == pytest.approx(known.signal_variance, rel=1e-12)
         assert all_kept.noise_variance == pytest.approx(known.noise_variance, rel=1e-12)
 
@@ -118,7 +118,7 @@ def test_a_linear_function_leaves_the_process_what_is_not_linear() -> None:
     wave = 0.1 * np.sin(2 * x[:, :1])
     data = Transitions(x, 40.0 + x @ [[1.0], [-3.0]] + wave)
     with_line, without = (
-        learn(replace(medians(2), linear=linear), data, Learning()) for linear in (10.0, 0.0)
+        learn(replace(medians(2), linear=linear), data, HyperPriors()) for linear in (10.0, 0.0)
     )
     assert 0.3 < with_line.length_scale[0] < 1.5 < without.length_scale[0]
     assert with_line.signal_variance < 1e-3 < without.signal_variance
@@ -127,11 +127,11 @@ def test_a_linear_function_leaves_the_process_what_is_not_linear() -> None:
 def test_residuals_that_are_rounding_have_no_say() -> None:
     """In single or double precision, or zero; how small they are is no evidence for a model."""
     data = drawn(medians(3), 60, 1)
-    alone, evidence = mode(medians(3), data, Learning())[0], []
+    alone, evidence = mode(medians(3), data, HyperPriors())[0], []
     x = data.inputs[:, 1:2]
     for rounded in (x - x.astype(np.float32), x / 3 * 3 - x, 0 * x):
         both = Transitions(data.inputs, np.hstack([data.residuals, rounded]))
-        found, log_evidence = mode(medians(3), both, Learning())
+        found, log_evidence = mode(medians(3), both, HyperPriors())
         np.testing.assert_array_equal(found.length_scale, alone.length_scale)
         assert found.noise_variance == alone.noise_variance
         evidence.append(log_evidence)
@@ -187,5 +187,5 @@ def test_no_line_search_leaves_what_the_priors_allow(monkeypatch: pytest.MonkeyP
         x = np.cumsum(rng.normal(size=(60, 3)), axis=0)
         x[:, 1] = np.repeat(rng.choice([-10.0, 10.0], 12), 5)  # an input at its limits
         y = np.cumsum(rng.normal(size=(60, 2)), axis=0) * 0.05 + np.sin(3 * x[:, :1])
-        learn(medians(3), Transitions(x, y), Learning())
+        learn(medians(3), Transitions(x, y), HyperPriors())
     assert 5.0 < np.abs(np.array(tried)).max() <= REACH + 4.0  # the medians are within 4

@@ -16,7 +16,7 @@ from simbias.core import Nominal, Task
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.directions import undetermined
 from simbias.learning.identification.identified import Identified
-from simbias.learning.identification.problem import Comparison, Problem
+from simbias.learning.identification.problem import Problem, WindowErrors
 from simbias.learning.identification.refinement import moved_by_shorter_steps
 from simbias.learning.measurement_noise import (
     Linearisation,
@@ -232,7 +232,7 @@ def test_the_posterior_is_that_of_markov_chains(study: Study) -> None:
     rollout = experiment(robot, rng, 300)
     fitted = study.identification.fit(study.nominal, [rollout])
     windows = study.identification.windows([rollout])  # type: ignore[attr-defined]
-    comparison = Comparison.at(study.nominal, windows, fitted.mode, FREEDOM)
+    comparison = WindowErrors.at(study.nominal, windows, fitted.mode, FREEDOM)
 
     def log_densities(z: Array) -> Array:
         losses = comparison.errors.losses(comparison.errors.whiten(comparison.prediction_errors(z)))

@@ -18,7 +18,7 @@ from simbias.core.records import Array, Rollout
 from simbias.learning.identification.directions import undetermined
 from simbias.learning.identification.identified import Identified, KnownPrior
 from simbias.learning.identification.posterior import Posterior
-from simbias.learning.identification.problem import Comparison
+from simbias.learning.identification.problem import WindowErrors
 from simbias.learning.identification.rig import Motor, Rig, Sensor
 from simbias.learning.prediction_errors import ErrorDistribution
 from simbias.robots.mujoco.model import Mujoco
@@ -122,7 +122,7 @@ def test_pieces_of_a_recording_share_its_own(study: Study) -> None:
     posterior = Posterior(study.task, sensors={"pos2": Sensor(zero=0.05)})
     rig, rollout = posterior.prior(study.nominal), Rollout(np.zeros((101, 4)), np.zeros((100, 2)))
     windows = posterior.windows(3 * [rollout], ["one", "other", "one"])
-    comparison, p = Comparison(rig, windows), len(rig.parameters)
+    comparison, p = WindowErrors(rig, windows), len(rig.parameters)
     np.testing.assert_array_equal(comparison.places[:, -1], [p - 1, p, p - 1])
     z = np.append(np.zeros(p - 1), [1.0, 2.0])
     fitted = Identified.of_recordings(

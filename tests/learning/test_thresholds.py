@@ -9,7 +9,7 @@ import pytest
 import simbias
 from simbias.core import Nominal
 from simbias.core.records import Array, Rollout
-from simbias.learning.samples.thresholds import Thresholds, Windows, line_weights
+from simbias.learning.samples.thresholds import Thresholds, WindowLengths, line_weights
 from simbias.trial.study import Study
 
 LIMITS = {"distance": 0.5, "body_angle": 0.3, "board_angle": 0.2, "speed": 2.0}
@@ -122,7 +122,7 @@ def test_a_window_finds_an_affine_bias_at_its_mean_state_and_input(study: Study)
     states, inputs = [0.01 * rng.normal(size=6)], rng.normal(size=(200, 1))
     for u in inputs:
         states.append(study.nominal.step(states[-1], u) + bias @ np.append(states[-1], u))
-    samples = Thresholds(study.task, stride=1, residual=1.0, window=Windows(measured=window))
+    samples = Thresholds(study.task, stride=1, residual=1.0, window=WindowLengths(measured=window))
     found = samples.select([measured(np.array(states), inputs)], study.nominal).transitions
     assert len(found) == 200 - window + 1
     np.testing.assert_allclose(found.residuals, found.inputs @ bias.T, rtol=0, atol=1e-12)
@@ -136,7 +136,7 @@ def test_how_many_are_sampled(study: Study) -> None:
         rollout = Rollout(np.zeros((101, 6)), np.zeros((100, 1)))
         selection = Thresholds(study.task, stride=stride).select([rollout], study.nominal)
         assert (selection.frames, selection.sampled) == (100, expected)
-    samples = Thresholds(study.task, stride=10, window=Windows(true_state=1, measured=20))
+    samples = Thresholds(study.task, stride=10, window=WindowLengths(true_state=1, measured=20))
     for sensed, expected in ((False, 10), (True, 9)):
         rollout = replace(measured(np.zeros((101, 6))), sensed=sensed)
         assert samples.select([rollout], Still()).sampled == expected
@@ -153,7 +153,7 @@ def test_windows_recover_the_residual_that_single_steps_lose(study: Study) -> No
     noisy = simbias.load(["tracking=none", "task.horizon=1500", *noise])
     true = noisy.experiment(np.array([8.1, 4.8, -6.7, -0.4, -5.6]), np.random.default_rng(0))
     for window, least, most in ((1, 5.0, np.inf), (71, 0.0, 0.2)):
-        samples = Thresholds(study.task, residual=1e9, window=Windows(window, window))
+        samples = Thresholds(study.task, residual=1e9, window=WindowLengths(window, window))
         truth, seen = (
             samples.select([rollout], study.nominal).transitions.residuals[:, 3:]
             for rollout in (true, replace(true, states=true.measured, sensed=True))

@@ -35,7 +35,7 @@ from simbias.recordings.files import (
     write,
 )
 from simbias.recordings.findings import STEP_DOUBT, findings
-from simbias.recordings.horizons import CHANGE, Prediction, inside, predictions, regions, sizes
+from simbias.recordings.horizons import CHANGE, HorizonErrors, inside, predictions, regions, sizes
 from simbias.recordings.mistakes import Mistake, changes, mistakes
 from simbias.recordings.parts import parts
 from simbias.recordings.reach import beyond
@@ -110,7 +110,7 @@ def test_errors_that_noise_and_uncertainty_do_not_explain_are_told(assessment: A
     spread = np.tile(np.diag([0.01, 9.0]), (400, 1, 1))
     wrong = rng.standard_normal((400, 2)) * np.sqrt(np.array([0.01, 9.0]) + noise**2)
     for times in (1.0, 3.0):
-        made = Prediction(0.5, (wrong,), (times * wrong,), (spread,), noises=(noise,))
+        made = HorizonErrors(0.5, (wrong,), (times * wrong,), (spread,), noises=(noise,))
         assert made.unexplained() == pytest.approx(times, rel=0.1)
     assert np.isnan(replace(made, identified=(wrong[:9],), spreads=(spread[:9],)).unexplained())
     assert "explain" not in verdict(assessment)
@@ -277,7 +277,7 @@ def test_regions_hold_what_they_promise() -> None:
     none, spreads = np.zeros((4000, 2, 2)), np.tile(factor.T @ factor, (4000, 1, 1))
 
     def coverage(wrong: list[np.ndarray], spread: list[np.ndarray]) -> float:
-        return Prediction(0.1, tuple(wrong), tuple(wrong), tuple(spread)).coverage()
+        return HorizonErrors(0.1, tuple(wrong), tuple(wrong), tuple(spread)).coverage()
 
     assert coverage(e, [none] * 3) == pytest.approx(0.9, abs=0.02)
     wide = [e[0], e[1], 5 * e[2]]
@@ -303,12 +303,12 @@ def test_other_recordings_may_err_by_a_share_of_what_happens() -> None:
     """Where more happens than in what is known, regions are as much wider as errors are larger."""
     rng, none = np.random.default_rng(0), (np.zeros((4000, 2, 2)),)
     known, moved = (
-        horizons.Known(rng.standard_normal((4000, 2)), none[0]),
+        horizons.HeldOutErrors(rng.standard_normal((4000, 2)), none[0]),
         30.0 * rng.standard_normal((4000, 2)),
     )
     wrong = (rng.standard_normal((4000, 2)) + CHANGE * moved * rng.standard_normal((4000, 2)),)
-    assert Prediction(0.1, wrong, wrong, none, known=known).coverage() < 0.6
-    assert Prediction(0.1, wrong, wrong, none, known, (moved,)).coverage() == pytest.approx(0.9, abs=0.02)
+    assert HorizonErrors(0.1, wrong, wrong, none, known=known).coverage() < 0.6
+    assert HorizonErrors(0.1, wrong, wrong, none, known, (moved,)).coverage() == pytest.approx(0.9, abs=0.02)
 
 
 @pytest.mark.parametrize(
@@ -549,11 +549,11 @@ def test_what_is_measured_is_seen_below_a_prediction_that_is_right(assessment: A
 def test_errors_of_many_states_are_drawn_in_rows() -> None:
     wrong, none = (np.ones((2, 12)),), (np.zeros((2, 12, 12)),)
     twelve = SimpleNamespace(states=3 * cart_pole().states)
-    figure = plots.errors(SimpleNamespace(task=twelve, predictions=[Prediction(0.1, wrong, wrong, none)]))  # type: ignore[arg-type]
+    figure = plots.errors(SimpleNamespace(task=twelve, predictions=[HorizonErrors(0.1, wrong, wrong, none)]))  # type: ignore[arg-type]
     assert [len(figure.axes), figure.axes[0].get_gridspec().ncols] == [12, 4]  # type: ignore[union-attr]
     axes = plots.errors(  # of one decade
         SimpleNamespace(  # type: ignore[arg-type]
-            task=twelve, predictions=[Prediction(0.1, wrong, (0.3 * wrong[0],), none)]
+            task=twelve, predictions=[HorizonErrors(0.1, wrong, (0.3 * wrong[0],), none)]
         )
     ).axes[0]
     low, high = axes.get_ylim()

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from simbias.config import compose
 from simbias.config.build import construct
 from simbias.core import Objective, Optimizer
-from simbias.core.evaluations import EVALUATION_LIMIT, STEP_LIMIT, TIME_LIMIT, Budget, Evaluations
+from simbias.core.evaluations import EVALUATION_LIMIT, STEP_LIMIT, TIME_LIMIT, Evaluations, SearchBudget
 from simbias.core.records import Array, Optimum
 from simbias.search.optimizer.cma import NO_PROGRESS
 from simbias.search.optimizer.lookahead import MOST, look_ahead
@@ -53,7 +53,7 @@ def test_costs_and_boxes_must_be_finite() -> None:
     for cost in (np.nan, np.inf, -np.inf):
         with pytest.raises(ValueError, match=r"the cost is (nan|-?inf) at the point \["):
             minimize(lambda x, cost=cost: cost)
-    budget = Budget(max_evaluations=1, relative_tolerance=1e-6)
+    budget = SearchBudget(max_evaluations=1, relative_tolerance=1e-6)
     for lower, upper in (([0], [0]), ([1], [0]), ([0], [np.inf]), ([0, 0], [1]), ([], [])):
         with pytest.raises(ValueError, match=r"lower|bounds"):
             Evaluations(lambda x: 0.0, np.array(lower), np.array(upper), budget)
@@ -95,7 +95,7 @@ def test_a_failed_search_says_so() -> None:
 
 def test_an_exploration_begins_from_scratch_and_ends_at_the_target() -> None:
     """Its evaluations count, and its best point is the search's if it is better."""
-    budget = Budget(max_evaluations=100, relative_tolerance=1e-9)
+    budget = SearchBudget(max_evaluations=100, relative_tolerance=1e-9)
     evaluations = Evaluations(Sphere(), *BOX, budget, target_cost=5.0)
     evaluations.evaluate(TARGET + 2.0)
     worse = evaluations.explored(lambda part: str(part.evaluate_all([TARGET + 9.0, TARGET + 8.0])), 2)
@@ -195,7 +195,7 @@ def test_a_search_that_changes_its_mind_is_noticed() -> None:
     def capricious(evaluate: Callable[[Array], float]) -> str:
         return str([evaluate(point) for point in rng.uniform(size=(100, 3))])
 
-    budget = Budget(max_evaluations=100, relative_tolerance=1e-6)
+    budget = SearchBudget(max_evaluations=100, relative_tolerance=1e-6)
     evaluations = Evaluations(Counting(), np.zeros(3), np.ones(3), budget)
     with pytest.raises(RuntimeError, match="other points when it is given the same costs"):
         look_ahead(capricious, evaluations)

@@ -28,7 +28,7 @@ from simbias.__main__ import main
 from simbias.config import ConfigError
 from simbias.engine.sequential import Sequential
 from simbias.sweep.grid import Trial
-from simbias.sweep.worker import Plan, Result, run_plan
+from simbias.sweep.worker import PlannedTrial, Result, run_plan
 from simbias.terminal.sweep import SweepConsole
 from simbias.trial.disk import locked
 from simbias.trial.folder import TrialFolder
@@ -193,7 +193,7 @@ def test_a_folder_from_elsewhere_is_laid_out_once_nobody_runs_its_trial_here(
     """The trial is tried again at the end."""
     holding, steps = ExitStack(), []
 
-    def elsewhere(plan: Plan) -> Result:
+    def elsewhere(plan: PlannedTrial) -> Result:
         trial = TrialFolder(Path(str(plan.folder)))
         steps.append(trial.steps())
         holding.enter_context(trial.held()) if len(steps) == 1 else holding.close()

@@ -11,7 +11,7 @@ from simbias.config import compose
 from simbias.engine.contract import Engine
 from simbias.engine.loky import Loky
 from simbias.engine.sequential import Sequential
-from simbias.sweep.worker import Plan, run_plan
+from simbias.sweep.worker import PlannedTrial, run_plan
 
 pytestmark = pytest.mark.slow
 
@@ -32,7 +32,7 @@ def digests(engine: Engine, folder: Path, backwards: bool = False) -> list[str]:
     """Of every trial's folder, in the order of TRIALS."""
     folder.mkdir(exist_ok=True)
     trials = [compose([*SHORT, *trial, f"seed={seed}"]).trial for seed, trial in enumerate(TRIALS)]
-    plans = [Plan(each, str(folder / str(i))) for i, each in enumerate(trials)]
+    plans = [PlannedTrial(each, str(folder / str(i))) for i, each in enumerate(trials)]
     for _, result in engine.run(run_plan, plans[::-1] if backwards else plans):
         assert result.summary.outcome.final, result.summary.reason  # type: ignore[union-attr]
     return [hashlib.sha256(repr(content(Path(str(plan.folder)))).encode()).hexdigest() for plan in plans]

@@ -39,7 +39,7 @@ from simbias.sweep import results, tables
 from simbias.sweep.folder import CHANGED, SweepFolder
 from simbias.sweep.grid import Trial, expand
 from simbias.sweep.running import SweepObserver
-from simbias.sweep.worker import Plan, Result, run_plan
+from simbias.sweep.worker import PlannedTrial, Result, run_plan
 from simbias.terminal.notices import COMPILING
 from simbias.terminal.sweep import SweepConsole
 
@@ -354,7 +354,7 @@ def test_live_view_fills() -> None:
     console = SweepConsole(Console(file=out, force_terminal=True, width=100))
     console.begun(sweep, pd.DataFrame(columns=["outcome"]), None)
     for trial in sweep.trials:
-        console.ended(trial, run_plan(Plan(trial.composition)))
+        console.ended(trial, run_plan(PlannedTrial(trial.composition)))
     console.all_ended()
     for words in ("4/4", "2/2   2.0", "/min"):
         assert words in out.getvalue()

@@ -11,7 +11,7 @@ from sweeping import content
 
 from simbias.config import Composition, compose
 from simbias.config.build import build
-from simbias.sweep.worker import Plan, code, pack, run_plan, unpack
+from simbias.sweep.worker import PlannedTrial, code, pack, run_plan, unpack
 from simbias.trial.folder import OUTCOME, TRIAL, TrialFolder
 from simbias.trial.run import Outcome
 
@@ -27,21 +27,21 @@ def trial() -> Composition:
 
 
 @pytest.fixture
-def plan(trial: Composition, tmp_path: Path) -> Plan:
+def plan(trial: Composition, tmp_path: Path) -> PlannedTrial:
     """A trial in a folder."""
-    return Plan(trial, str(tmp_path / "trial"))
+    return PlannedTrial(trial, str(tmp_path / "trial"))
 
 
 @pytest.fixture(scope="module")
 def whole(trial: Composition, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of the trial, ended."""
     folder = tmp_path_factory.mktemp("whole") / "trial"
-    result = run_plan(Plan(trial, str(folder)))
+    result = run_plan(PlannedTrial(trial, str(folder)))
     assert (result.summary.outcome, result.packed) == (Outcome.NOT_SUCCEEDED, b"")
     return folder
 
 
-def test_a_worker_of_another_version_runs_no_trial(plan: Plan, trial: Composition) -> None:
+def test_a_worker_of_another_version_runs_no_trial(plan: PlannedTrial, trial: Composition) -> None:
     build(trial)
     same = code(trial)
     result = run_plan(plan._replace(code={**same, "simbias": "another"}))
@@ -51,7 +51,7 @@ def test_a_worker_of_another_version_runs_no_trial(plan: Plan, trial: Compositio
 
 
 @pytest.mark.slow
-def test_a_folder_travels_where_no_disk_is_shared(plan: Plan, whole: Path, tmp_path: Path) -> None:
+def test_a_folder_travels_where_no_disk_is_shared(plan: PlannedTrial, whole: Path, tmp_path: Path) -> None:
     """There and back: the worker gets what is kept, makes the rest, and sends all; only that counts."""
     folder, there = tmp_path / "trial", tmp_path / "another machine"
     with ZipFile(BytesIO(pack(whole))) as packed:  # killed while it is laid out, it can be resumed
@@ -77,13 +77,13 @@ def test_a_folder_travels_where_no_disk_is_shared(plan: Plan, whole: Path, tmp_p
     assert not run_plan(plan._replace(marker=str(marker))).packed
 
 
-def with_bias(plan: Plan, target: str) -> Plan:
+def with_bias(plan: PlannedTrial, target: str) -> PlannedTrial:
     config = {**plan.composition.config, "bias": {"_target_": target}}
     return plan._replace(composition=replace(plan.composition, config=config))
 
 
 def test_a_trial_that_cannot_begin_is_a_result_too(
-    plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    plan: PlannedTrial, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     summary = run_plan(with_bias(plan, "simbias.learning.bias.gp.Nothing")).summary
     assert (summary.outcome, summary.experiments) == (Outcome.ERROR, 0)

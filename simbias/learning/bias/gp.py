@@ -10,7 +10,7 @@ from simbias.core.records import Transitions
 from simbias.learning.bias.inducing import Inducing
 from simbias.learning.bias.posterior import exact, sparse
 from simbias.learning.covariance import Hyperparameters, hyperparameters
-from simbias.learning.likelihood import Learning, learn
+from simbias.learning.likelihood import HyperPriors, learn
 
 # By sweeps/benchmarks/gp.py, batched on one thread: 11 us at N = 1000, growing faster than N^2 beyond.
 SECONDS_PER_STEP = 11e-6 / 1000**2
@@ -55,7 +55,7 @@ class GaussianProcess(Bias):
         noise_variance: Scale = 0.018315638888734182,  # e^-4
         d: NonNegative = 1.0,
         input_scale: list[Scale] | None = None,
-        learning: Learning | None = None,
+        learning: HyperPriors | None = None,
         inducing: Inducing | None = None,
         periodic: bool = False,
         fourier_features: CountOrZero = 0,

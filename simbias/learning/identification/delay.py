@@ -14,7 +14,7 @@ from simbias.core.parameters import Estimate
 from simbias.core.ranges import Count, Seconds
 from simbias.core.records import Array, Rollout, Transitions
 from simbias.learning.covariance import hyperparameters
-from simbias.learning.likelihood import Learning, mode
+from simbias.learning.likelihood import HyperPriors, mode
 from simbias.simulation.actuator import Actuator, Actuators, taps_of
 from simbias.simulation.compiler import of_nominal, points_of
 
@@ -46,7 +46,7 @@ class Delay(Identification):
         count = min(int(STEPS * longest / task.time_step + 1e-9), MOST)
         step = max(task.time_step / STEPS, longest / MOST)
         self._delays = step * np.arange(count + 1, dtype=np.float64)
-        self._learning = Learning(points=points)
+        self._learning = HyperPriors(points=points)
         self._medians = hyperparameters(task, 1.0, 1.0, 0.02, 1.0, None, periodic=True)
 
     def fit(self, nominal: Nominal, rollouts: Sequence[Rollout]) -> Late:

@@ -15,7 +15,7 @@ from simbias.core.records import Array, Rollout
 from simbias.learning.identification.directions import undetermined
 from simbias.learning.identification.identified import Identified, Known, KnownPrior
 from simbias.learning.identification.possible import nearest_possible
-from simbias.learning.identification.problem import Comparison, Differences, Problem
+from simbias.learning.identification.problem import Differences, Problem, WindowErrors
 from simbias.learning.identification.rig import Motor, Rig, Sensor, check_signals
 from simbias.learning.noise import smoothed
 from simbias.learning.prediction_errors import FREEDOM, ErrorDistribution
@@ -223,7 +223,7 @@ class Posterior(Identification):
 
     def _start(self, nominal: Nominal, windows: Windows) -> Array:
         """The likeliest coordinates (p,) among the prior's median, draws from it and declared values."""
-        problem = Comparison(nominal, windows)
+        problem = WindowErrors(nominal, windows)
         z = np.random.default_rng(0).standard_normal((self._starts, problem.size))
         z[0] = 0.0
         if self._differences == "central":

@@ -38,7 +38,7 @@ def coordinates_of(parameters: Sequence[Parameter], recordings: Indices) -> Indi
     return places
 
 
-class Comparison:
+class WindowErrors:
     """Predictions over windows of one duration against what was recorded, with the errors' covariance given.
 
     Coordinates z (p,) are those of the first recording, then of what each other one has of its own.
@@ -61,9 +61,9 @@ class Comparison:
         return int(self.places.max(initial=-1)) + 1
 
     @staticmethod
-    def at(nominal: Nominal, windows: Windows, z: Array, freedom: float) -> Comparison:
+    def at(nominal: Nominal, windows: Windows, z: Array, freedom: float) -> WindowErrors:
         """The comparison with the errors' covariance estimated at coordinates z (p,)."""
-        made = Comparison(nominal, windows)
+        made = WindowErrors(nominal, windows)
         made.errors = ErrorDistribution.of(made.prediction_errors(z[None])[0], windows, freedom)
         return made
 
@@ -175,7 +175,7 @@ class Problem:
     """
 
     def __init__(self, nominal: Nominal, windows: Sequence[Windows], z: Array, freedom: float) -> None:
-        self._comparisons = [Comparison.at(nominal, each, z, freedom) for each in windows]
+        self._comparisons = [WindowErrors.at(nominal, each, z, freedom) for each in windows]
         counts = np.array([len(each) for each in windows])
         self._weights = np.sqrt(counts / counts.sum())  # of residuals
         self.places, self.errors = self._comparisons[0].places, self._comparisons[0].errors

@@ -12,7 +12,7 @@ from simbias.core import Nominal, Task
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.identified import Identified
 from simbias.learning.identification.posterior import Posterior
-from simbias.learning.identification.problem import Comparison
+from simbias.learning.identification.problem import WindowErrors
 from simbias.simulation.open_loop import plain
 
 STEPS = (10, 16), (40, 64), (160, 256)  # of a frame; the model's own may be as short as the first ones
@@ -65,7 +65,7 @@ def moved_by_shorter_steps(
     if nominal.state_size or fitted.errors is None or posterior.begins_with_known:
         return None
     windows = posterior.windows(rollouts, recordings)
-    coarse = Comparison(posterior.prior(nominal), windows)
+    coarse = WindowErrors(posterior.prior(nominal), windows)
     coarse.errors = fitted.errors
     z = coarse.coordinates(fitted)
     errors = coarse.prediction_errors(z[None])[0]
@@ -77,7 +77,7 @@ def moved_by_shorter_steps(
         if refined[0].parameters != nominal.parameters:
             return None
         # In NumPy: they predict once, and to compile them would take longer.
-        fine = [Comparison(posterior.prior(each), windows, plain) for each in refined]
+        fine = [WindowErrors(posterior.prior(each), windows, plain) for each in refined]
         shorter, shortest = (each.prediction_errors(z[None])[0] - errors for each in fine)
         if _differ(shorter, shortest) <= AGREE:
             # As of a first-order integrator.

@@ -19,14 +19,14 @@ OTHERS = "other_failure"  # what failed by a criterion that is not the task's, a
 
 
 @dataclass(frozen=True)
-class Windows:
+class WindowLengths:
     """Length of a sample, a weighted mean, in frames or as a duration (`70 ms`)."""
 
     true_state: Span = 1
     measured: Span = 71
 
 
-_WINDOWS = Windows()
+_WINDOWS = WindowLengths()
 
 
 class Thresholds(Samples):
@@ -58,7 +58,7 @@ class Thresholds(Samples):
         stride: Span = 35,
         limits: Mapping[str, Positive] | None = None,
         residual: Positive | None = 0.01,
-        window: Windows = _WINDOWS,
+        window: WindowLengths = _WINDOWS,
         selection: Literal["stride", "information"] = "stride",
     ) -> None:
         names = [criterion.name for criterion in task.criteria]

@@ -55,7 +55,7 @@ class Pulses:
 
 
 @dataclass(frozen=True)
-class Part:
+class DrawnPart:
     """A part of a drawing. One point is the centre of a disc, two are the ends of a bar, more are corners."""
 
     points: Annotated[

@@ -14,11 +14,11 @@ from simbias.core.files import ConfigFile
 from simbias.core.ranges import Coordinate, Frames, Seconds, TimeStep
 from simbias.core.records import Array
 from simbias.robots.declared.declarations import (
+    DrawnPart,
     Failure,
     Input,
     Named,
     Output,
-    Part,
     Pulses,
     bounds_of,
     criterion_of,
@@ -91,7 +91,7 @@ class Declared(Task):
         outputs: Named[Output] | None = None,
         constants: Named[Coordinate] | None = None,
         where: Named[Expression] | None = None,
-        drawing: Named[Part] | None = None,
+        drawing: Named[DrawnPart] | None = None,
         figure: FigureFile | None = None,
         goal: Named[Expression] | None = None,
         reference: ConfigFile | None = None,
@@ -171,10 +171,10 @@ class Declared(Task):
             if failure_there := self.failure(start):
                 raise ValueError(f"{key}: the task fails at its start: {failure_there}")
 
-    def _set_drawing(self, drawing: dict[str, Part]) -> None:
+    def _set_drawing(self, drawing: dict[str, DrawnPart]) -> None:
         """Set what is drawn: a figure's parts, or those that are declared."""
         if self._figure:  # which knows its points itself
-            drawing = {name: Part([], thickness) for name, thickness in self._figure.thickness.items()}
+            drawing = {name: DrawnPart([], thickness) for name, thickness in self._figure.thickness.items()}
         self.drawing = drawing
         self._points = self.expressions(
             {

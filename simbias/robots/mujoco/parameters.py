@@ -30,7 +30,7 @@ def mujoco() -> Any:
     return engine
 
 
-class Quantity(NamedTuple):
+class ModelQuantity(NamedTuple):
     """A physical quantity of every element of a kind, in a compiled model."""
 
     element: str  # body, joint, geom or actuator
@@ -39,7 +39,7 @@ class Quantity(NamedTuple):
     put: Callable[[Any, str, float], None]
 
 
-def _array(element: str, unit: str, field: str) -> Quantity:
+def _array(element: str, unit: str, field: str) -> ModelQuantity:
     """A quantity in a field, as of `model.joint("hinge").damping`: of all axes of a joint, else its first."""
 
     def values(model: Any, name: str) -> Array:
@@ -48,7 +48,7 @@ def _array(element: str, unit: str, field: str) -> Quantity:
     def put(model: Any, name: str, value: float) -> None:
         values(model, name)[: None if element == "joint" else 1] = value
 
-    return Quantity(element, unit, lambda model, name: float(values(model, name)[0]), put)
+    return ModelQuantity(element, unit, lambda model, name: float(values(model, name)[0]), put)
 
 
 def _put_mass(model: Any, name: str, value: float) -> None:
@@ -109,10 +109,10 @@ def _put_gain(model: Any, name: str, value: float) -> None:
 
 
 # Written into the compiled model: through MjSpec a draw with one mesh takes 80 ms in place of 0.2 ms.
-QUANTITIES: Mapping[str, Quantity] = {
+QUANTITIES: Mapping[str, ModelQuantity] = {
     "mass": _array("body", "kg", "mass")._replace(put=_put_mass),
-    "size": Quantity("body", "1", lambda model, name: 1.0, _put_size),
-    "inertia": Quantity(
+    "size": ModelQuantity("body", "1", lambda model, name: 1.0, _put_size),
+    "inertia": ModelQuantity(
         "body", "kg m^2", lambda model, name: float(model.body(name).inertia.max()), _put_inertia
     ),
     "damping": _array("joint", "N m s/rad or N s/m", "damping"),
@@ -120,7 +120,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     "armature": _array("joint", "kg m^2 or kg", "armature"),
     "stiffness": _array("joint", "N m/rad or N/m", "stiffness"),
     "contact_friction": _array("geom", "1", "friction"),
-    "gain": Quantity("actuator", "1", lambda model, name: 1.0, _put_gain),
+    "gain": ModelQuantity("actuator", "1", lambda model, name: 1.0, _put_gain),
 }
 
 

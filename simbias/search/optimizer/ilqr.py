@@ -24,7 +24,7 @@ from simbias.policy.trajectory import Trajectory
 from simbias.search.goal import goal_along, moves
 from simbias.search.lqr import rest
 from simbias.search.optimizer.following import STEP, Following, Plan, linear
-from simbias.search.optimizer.riccati import Quadratic, beside, solved
+from simbias.search.optimizer.riccati import LinearQuadratic, beside, solved
 from simbias.simulation.closed_loop import simulator
 from simbias.simulation.linearization import derivatives
 
@@ -277,7 +277,7 @@ class Shooting:
         W = beside(curvature[:-1], np.diag(self._input_weights))
         w = np.concatenate([slope[:-1], self._input_weights * plan.inputs], axis=1)
         room = tuple(SHARE * limits - plan.inputs for limits in task.input_bounds)
-        problem = Quadratic(M, W, w, curvature[-1], slope[-1])
+        problem = LinearQuadratic(M, W, w, curvature[-1], slope[-1])
         try:
             k, K, _ = solved(problem, self._n, room, damping * self._damping)
         except np.linalg.LinAlgError:  # singular: it needs more damping

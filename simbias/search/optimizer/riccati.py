@@ -9,7 +9,7 @@ import numpy as np
 from simbias.core.records import Array
 
 
-class Quadratic(NamedTuple):
+class LinearQuadratic(NamedTuple):
     """A linear-quadratic problem over T frames, of z = (s, u): l states and m inputs."""
 
     M: Array  # (T, l, l+m) s_next = M z
@@ -19,10 +19,10 @@ class Quadratic(NamedTuple):
     v: Array  # (l,)
 
 
-def regulator(M: Array, Q: Array, R: Array, V: Array) -> Quadratic:
+def regulator(M: Array, Q: Array, R: Array, V: Array) -> LinearQuadratic:
     """The problem to stay on a trajectory along M by Q (l, l) or (T, l, l); V (l, l) weighs where it ends."""
     W = beside(np.broadcast_to(Q, (len(M), *V.shape)), R)
-    return Quadratic(M, W, np.zeros(W.shape[:2]), V, np.zeros(len(V)))
+    return LinearQuadratic(M, W, np.zeros(W.shape[:2]), V, np.zeros(len(V)))
 
 
 def beside(Q: Array, R: Array) -> Array:
@@ -34,7 +34,7 @@ def beside(Q: Array, R: Array) -> Array:
 
 
 def solved(
-    problem: Quadratic, seen: int, room: tuple[Array, ...] = (), damping: Array | float = 0.0
+    problem: LinearQuadratic, seen: int, room: tuple[Array, ...] = (), damping: Array | float = 0.0
 ) -> tuple[Array, Array, Array]:
     """Steps k (T, m) and gains K (T, m, l) of u = k - K s, backwards in time, and the value V (l, l).
 

@@ -18,7 +18,7 @@ Everything that others use of it is imported from here.
 
 from simbias.simulation.compiler.agreement import points_among, points_of
 from simbias.simulation.compiler.choices import at_least, at_most
-from simbias.simulation.compiler.closed_loop import Composition, compile_closed_loop
+from simbias.simulation.compiler.closed_loop import LoopKernels, compile_closed_loop
 from simbias.simulation.compiler.compilation import compiled_as, function_of
 from simbias.simulation.compiler.expressions import Expression, Expressions
 from simbias.simulation.compiler.kernels import LANES, elementwise

@@ -78,7 +78,7 @@ REDUCTIONS = {  # nan is left out
 
 
 @dataclass(frozen=True)
-class Composition:
+class LoopKernels:
     """Kernels that close a loop, and the sizes of what they take."""
 
     measure: Function
@@ -100,7 +100,7 @@ class Composition:
 
 
 @lru_cache(maxsize=64)
-def compile_closed_loop(c: Composition) -> Any:
+def compile_closed_loop(c: LoopKernels) -> Any:
     """The composition's loop, ready to be called."""
     sizes = {"n": c.n, "m": c.m, "policy": c.policy_parameters, "n_policy_state": c.n_policy_state}
     sizes |= {"n_cost_terms": len(c.reductions), "columns": c.columns}
@@ -139,7 +139,7 @@ def compile_closed_loop(c: Composition) -> Any:
     ).compiled()
 
 
-def _advanced(c: Composition) -> list[str]:
+def _advanced(c: LoopKernels) -> list[str]:
     """From the state to the input that acts; a rollout that ends is not stepped any further."""
     total = sum_of([f"x_[{i}]" for i in range(c.n)])
     judge = [f"failed = -1 if abs({total}) < inf else {c.criteria}"]  # criteria need not read all states
@@ -164,7 +164,7 @@ def _advanced(c: Composition) -> list[str]:
     ]
 
 
-def _settled(c: Composition) -> list[str]:
+def _settled(c: LoopKernels) -> list[str]:
     """The cost's terms are summed up; a rollout that ends here ends with the totals before."""
     if not c.terms:
         return []
