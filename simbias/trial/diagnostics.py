@@ -157,7 +157,8 @@ def of_draws(rollout: Rollout, model: Model, study: Study) -> Iterator[Remark]:
     drawn = study.evaluation.draws_nominal and model.nominal.parameters
     if not drawn or isinstance(model.nominal, Identified):  # of which draws lie about the residual's own
         return
-    if model.bias.correction(rollout.states[:-1], rollout.inputs).any():
+    x = rollout.states[:-1, : len(model.task.without_targets.states)]
+    if model.bias.correction(x, rollout.inputs).any():
         yield Remark(
             "a residual is added to drawn models",
             "the search draws nominal models and adds to each the residual of the one that is not drawn, so "

@@ -67,6 +67,14 @@ def test_a_residual_that_is_added_to_drawn_models_is_told(study: Study) -> None:
         assert ("a residual is added to drawn models" in kinds) == told
 
 
+def test_a_residual_is_one_of_the_robot_whatever_its_targets() -> None:
+    """Of a task with targets, whose searches draw models."""
+    study = simbias.load(["preset=reacher", "tracking=none"])
+    theta, residual = np.zeros(study.policy.n_parameters), ConstantBias(np.full(4, 1e-3), np.zeros(4))
+    kinds = {remark.kind for remark in of_prediction(theta, study.model(residual), study)}
+    assert "a residual is added to drawn models" in kinds
+
+
 def test_nothing_is_said_where_the_policy_lasts_or_all_is_determined(study: Study) -> None:
     assert of_spread(study, 0.6)[1] == []
     assert undetermined(of_spread(study, 0.4)[0]) == []
