@@ -11,9 +11,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import MISSING, fields, is_dataclass
+from datetime import date, time, timedelta
+from decimal import Decimal
 from enum import Enum
 from pathlib import PurePath
 from typing import Any
+from uuid import UUID
 
 import numpy as np
 
@@ -42,6 +45,7 @@ FORMER = {  # classes and arguments whose identities, and so whose seeds, come f
     "ModelBased.lqr_candidates": "design",
     "WindowGP": "HeldOut",
 }
+TOLD_BY_TEXT = PurePath, Enum, UUID, Decimal, date, time, timedelta, bytes, complex  # the same in any process
 VERSIONS = {"DirectSearch.strategy=bayesian": 1}  # of one value of an argument, added to the class's
 
 
@@ -96,10 +100,16 @@ def _deviations(values: Mapping[str, Any], defaults: Mapping[str, Any], key: str
     """The values that are not the defaults, as plain containers."""
     plain = {name: _plain(value, f"{key}.{name}") for name, value in values.items()}
     return {
-        name: value
-        for name, value in plain.items()
-        if name not in defaults or value != _plain(defaults[name], f"{key}.{name}")
+        name: value for name, value in plain.items() if name not in defaults or not _is(value, defaults[name])
     }
+
+
+def _is(plain: Any, default: Any) -> bool:
+    """Whether a plain value is that of a default, which may be of any type, as a function."""
+    try:
+        return bool(plain == _plain(default, ""))
+    except ConfigError:
+        return False
 
 
 def _plain(value: Any, key: str) -> Any:
@@ -120,11 +130,11 @@ def _plain(value: Any, key: str) -> Any:
         return [_plain(each, key) for each in value]
     if isinstance(value, Set):
         return sorted((_plain(each, key) for each in value), key=repr)
-    if isinstance(value, np.ndarray):
+    if isinstance(value, np.ndarray | np.generic):
         return _plain(value.tolist(), key)
     if value is None or isinstance(value, str | int | float):
         return value
-    if isinstance(value, PurePath | Enum):
+    if isinstance(value, TOLD_BY_TEXT):
         return str(value)
-    expected = "expected numbers, texts, paths, arrays, containers or dataclasses"
+    expected = "expected numbers, texts, times, paths, arrays, containers or dataclasses"
     raise ConfigError(key, f"{expected}, of which a trial's identity is made, got {type(value).__name__}")

@@ -2,6 +2,8 @@
 
 import sys
 import textwrap
+from datetime import timedelta
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -64,15 +66,36 @@ def test_values_of_any_type_are_told_apart() -> None:
         return identity_fields(config, (), [__name__])["bias"]
 
     array = np.linspace(0.0, 1.0, 1500)
-    for table, told in (
+    tables: list[tuple[Any, Any]] = [
         (array, array.tolist()),
         ({"b", "a"}, ["a", "b"]),
         (Path("a"), "a"),
         ((1, 2), [1, 2]),
-    ):
+        (np.float64(0.5), 0.5),
+        (np.int64(3), 3),
+        (timedelta(seconds=90), "0:01:30"),
+        (Decimal("2.5"), "2.5"),
+    ]
+    for table, told in tables:
         assert identity(table) == {"class": f"{__name__}.Tabled", "table": told}
     with pytest.raises(ConfigError, match=r"^bias\.table: expected numbers, .*, got object$"):
         identity([object()])
+
+
+THREE = np.int64(3)
+
+
+class Counting(NoBias):
+    """A bias whose defaults are of types that no config gives."""
+
+    def __init__(self, count: Any = THREE, rule: Any = len) -> None: ...
+
+
+def test_defaults_may_be_of_any_type() -> None:
+    target = {"_target_": f"{__name__}.Counting"}
+    whole = {"class": f"{__name__}.Counting"}
+    for values, told in (({"count": 3}, {}), ({"count": 4}, {"count": 4}), ({"rule": None}, {"rule": None})):
+        assert identity_fields({"bias": target | values}, (), [__name__])["bias"] == whole | told
 
 
 @pytest.mark.slow
