@@ -146,6 +146,12 @@ def test_without_a_goal_all_states_are_to_be_zero() -> None:
     assert task.succeeds(np.zeros((126, 4))) is None
 
 
+def test_a_goal_that_turns_on_is_not_asked_whether_it_is_in_degrees(recwarn: pytest.WarningsRecorder) -> None:
+    states = CARTPOLE["states"] | {"angle": {"unit": "rad", "wraps": True}}
+    declared(states=states, failure=None, goal={"angle": "-20.0 * t"})
+    assert not recwarn.list
+
+
 @pytest.mark.parametrize(("unit", "half"), [("rad", np.pi), ("deg", 180.0), ("rev", 0.5)])
 def test_a_goal_moves_and_an_angle_wraps_by_a_turn_in_its_unit(unit: str, half: float) -> None:
     states = CARTPOLE["states"] | {"angle": {"unit": unit, "wraps": True}}

@@ -130,11 +130,13 @@ def check_within(
 
 
 def warn_of_degrees(reference: Reference, goals: Sequence[Quantity], seconds: float) -> None:
-    """Warn of an angle in rad that wraps and whose goal is turns away from zero."""
+    """Warn of an angle in rad that wraps and whose goal is turns away from zero, but does not turn on."""
     times = np.linspace(0.0, seconds, 1000)
-    largest = np.broadcast_to(np.abs(reference(times)), (len(times), len(goals))).max(axis=0)
-    for goal, value in zip(goals, largest, strict=True):
-        if goal.wraps and goal.unit == "rad" and value > TURNS * goal.turn:
+    values = np.broadcast_to(reference(times), (len(times), len(goals)))
+    for goal, each in zip(goals, values.T, strict=True):
+        steps, value = np.diff(each), np.abs(each).max()
+        turns_on = abs(each[0]) <= goal.turn and ((steps > 0).all() or (steps < 0).all())
+        if goal.wraps and goal.unit == "rad" and value > TURNS * goal.turn and not turns_on:
             words = f"goal.{goal.name} is {value:.4g} rad, more than {TURNS} turns: is it in degrees?"
             warnings.warn(words, SlowWarning, stacklevel=4)
 
