@@ -28,17 +28,20 @@ _deferral: _Deferral | None = None  # of the main thread, which alone hears of s
 
 @contextmanager
 def deferred(begun: Callable[[], bool] = lambda: True) -> Iterator[None]:
-    """Inside, nothing is interrupted once `begun` is true; what came meanwhile interrupts at the end."""
+    """Inside, nothing is interrupted once `begun` is true; what came meanwhile interrupts at the end.
+
+    It may lie within another one, which goes on.
+    """
     global _deferral
-    if threading.current_thread() is not threading.main_thread():
+    if threading.current_thread() is not threading.main_thread() or (_deferral and _deferral.begun()):
         yield
         return
-    own = _Deferral(begun)
+    own, outer = _Deferral(begun), _deferral
     try:
         _deferral = own
         yield
     finally:
-        _deferral = None
+        _deferral = outer
         if own.interrupted:
             raise KeyboardInterrupt
 

@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from simbias.core.interruption import Interruption
+from simbias.core.interruption import Interruption, deferred
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals")
 
@@ -65,3 +65,19 @@ def test_an_interruption_of_which_a_library_makes_another_error_is_one() -> None
         not_installed(interrupted=True)
     with pytest.raises(ImportError):
         not_installed(interrupted=False)
+
+
+def interrupted_while_deferred(reached: list[str]) -> None:
+    with Interruption(), deferred():
+        with deferred(lambda: False):
+            signal.raise_signal(signal.SIGINT)
+            reached.append("inner")
+        signal.raise_signal(signal.SIGINT)
+        reached.append("outer")
+
+
+def test_what_is_deferred_within_another_ends_neither() -> None:
+    reached: list[str] = []
+    with pytest.raises(KeyboardInterrupt):
+        interrupted_while_deferred(reached)
+    assert reached == ["inner", "outer"]
