@@ -34,12 +34,21 @@ def error_of(policy: int) -> float:
     return ERROR * 6 / (pi * (policy + 1)) ** 2
 
 
-def passes_for(share: float | None, policy: int, least: int = 1) -> int:
+def passes_for(share: float | None, policy: int, experiments: int = 1, passes: int | None = None) -> int:
     """Passes in a row after which a trial may claim this share of starts for its policy of this number.
 
-    At least `least`, which is also what a trial needs that does not ask (None).
+    At least an iteration's experiments. A trial that does not ask (None) needs these, or as many passes as
+    are given.
     """
-    return least if share is None else max(least, passes_needed(share, error_of(policy)))
+    if share is None:
+        return passes or experiments
+    return max(experiments, passes_needed(share, error_of(policy)))
+
+
+def check_passes(passes: int | None, experiments: int) -> None:
+    """Refuse fewer passes than an iteration's experiments, which a ValueError says."""
+    if passes is not None and passes < experiments:
+        raise ValueError(f"passes: {passes} are fewer than the {experiments} experiments of an iteration")
 
 
 def claim_of(iteration: Iteration) -> Claim:

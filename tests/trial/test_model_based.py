@@ -22,6 +22,7 @@ from simbias.search import lqr
 from simbias.search.evaluation.nominal_start import NominalStart
 from simbias.search.lqr import lqr_policies
 from simbias.trial.methods.algorithm1 import Algorithm1
+from simbias.trial.methods.lqr import Lqr
 from simbias.trial.methods.model_based import ModelBased
 from simbias.trial.observer import Observer
 from simbias.trial.run import read_trial, run_trial
@@ -219,8 +220,9 @@ def test_success_may_ask_for_more_passes(point_mass: Study) -> None:
     iterations = scripted(point_mass, [0.1] * 3, hardware, passes=4, stop_at_failure=True)
     assert [i.total_experiments for i in iterations] == [1, 4, 8]
     assert ModelBased(max_iterations=3, experiments=2, passes=4).max_experiments == 12
-    with pytest.raises(ValueError, match="passes: 1 are fewer than the 2 experiments"):
-        ModelBased(passes=1)
+    for method in (ModelBased, Lqr):
+        with pytest.raises(ValueError, match="passes: 1 are fewer than the 2 experiments"):
+            method(passes=1)
 
 
 @pytest.mark.slow

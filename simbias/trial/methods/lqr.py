@@ -12,7 +12,7 @@ from simbias.core.model import Model
 from simbias.core.ranges import Count, NonNegative, Scale
 from simbias.core.records import Array, Iteration, Rollout
 from simbias.search.lqr import INPUT_WEIGHTS, lqr_policies, why_none
-from simbias.trial.claim import Confidence, passes_for
+from simbias.trial.claim import Confidence, check_passes, passes_for
 from simbias.trial.method import Method
 from simbias.trial.observer import Observer
 from simbias.trial.steps import Stopwatch, experiment, iteration_record
@@ -49,7 +49,7 @@ class Lqr(Method):
         Dry friction is taken for the damping that it looks like at rest (`simbias.search.lqr`).
     confidence
         Share of starts that a trial has to know that its policy holds: success takes as many passes as bound
-        it by that (`simbias.trial.claim`). None: it does not ask.
+        it by that (`simbias.trial.claim`), regardless of `passes`. None: it does not ask.
     """
 
     input_weight: Scale = INPUT_WEIGHTS[1]
@@ -62,12 +62,13 @@ class Lqr(Method):
     confidence: Confidence | None = None
 
     def __post_init__(self) -> None:
+        check_passes(self.passes, self.experiments)
         if not self.identified:
             self.max_iterations = 1
 
     def passes_of(self, policy: int) -> int:
         """Experiments that the policy of this number has to pass."""
-        return passes_for(self.confidence, policy, max(self.passes or 0, self.experiments))
+        return passes_for(self.confidence, policy, self.experiments, self.passes)
 
     def check(self, study: Study) -> None:
         """Refuse a policy that imitates no such regulator, and a model that has none."""

@@ -15,7 +15,7 @@ from simbias.core.files import ConfigFile
 from simbias.core.ranges import Count, CountOrZero, NonNegative, Positive, Share
 from simbias.core.records import Array, Iteration, Learning, Rollout, Search
 from simbias.search.optimizer.ilqr import follower
-from simbias.trial.claim import Confidence, passes_for
+from simbias.trial.claim import Confidence, check_passes, passes_for
 from simbias.trial.disk import read_json
 from simbias.trial.method import Method
 from simbias.trial.model_selection import log_likelihoods, most_likely
@@ -98,9 +98,7 @@ class ModelBased(Method):
     random_experiments: CountOrZero = 0
 
     def __post_init__(self) -> None:
-        if self.passes is not None and self.passes < self.experiments:
-            problem = f"{self.passes} are fewer than the {self.experiments} experiments of an iteration"
-            raise ValueError(f"passes: {problem}")
+        check_passes(self.passes, self.experiments)
 
     @property
     def source_files(self) -> list[Path]:
@@ -115,8 +113,7 @@ class ModelBased(Method):
 
     def passes_of(self, policy: int) -> int:
         """Experiments that the policy of this number has to pass."""
-        least = self.experiments if self.confidence else self.passes or self.experiments
-        return passes_for(self.confidence, policy, least)
+        return passes_for(self.confidence, policy, self.experiments, self.passes)
 
     def check(self, study: Study) -> None:
         """Refuse another policy's parameters, a policy that follows no plan, and unlimited random inputs."""
