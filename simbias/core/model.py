@@ -78,6 +78,10 @@ class Nominal(ABC):
         """
         raise NotImplementedError(f"{type(self).__name__} has parameters, but no `with_parameters`")
 
+    def oddity(self) -> tuple[str, str] | None:
+        """An oddity of the identified model, in few words and in a sentence; None if there is none."""
+        return None
+
     @property
     def slack(self) -> Array:
         """How far (c,) each condition on its parameters is from being broken; below 0, no robot has them."""

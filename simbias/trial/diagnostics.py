@@ -15,7 +15,6 @@ from simbias.core import Cost, Model, Nominal, Task
 from simbias.core.messages import counted
 from simbias.core.records import Array, Iteration, Rollout, Search, Selection
 from simbias.lab.safety import exceeded
-from simbias.learning.identification.delay import Late
 from simbias.learning.identification.directions import undetermined
 from simbias.learning.identification.identified import Identified
 from simbias.simulation.closed_loop import simulator
@@ -166,16 +165,6 @@ def of_draws(rollout: Rollout, model: Model, study: Study) -> Iterator[Remark]:
         )
 
 
-def of_delay(nominal: Nominal) -> Iterator[Remark]:
-    """Whether the motors may be later than any delay that was considered."""
-    if isinstance(nominal, Late) and nominal.at_longest:
-        yield Remark(
-            "the motors may be later than identification.longest",
-            f"the most probable delay of the motors is the longest that is considered ({nominal.delay:g} s), "
-            "so they may be later: raise identification.longest",
-        )
-
-
 def of_prediction(theta: Array, model: Model | None, study: Study) -> Iterator[Remark]:
     """Oddities of a policy theta (p,) on the model that it was made on, before hardware is spent on it."""
     if model is None:
@@ -187,8 +176,7 @@ def of_prediction(theta: Array, model: Model | None, study: Study) -> Iterator[R
         yield from of_starts(theta, model, study.cost)
     yield from of_model(theta, model, study.cost)
     yield from of_draws(rollout, model, study)
-    yield from of_delay(model.nominal)
-    for oddity in model.policy.oddity(theta), study.cost.oddity(rollout):
+    for oddity in model.nominal.oddity(), model.policy.oddity(theta), study.cost.oddity(rollout):
         if oddity is not None:
             yield Remark(*oddity)
     error = model.bias.diagnostics.get("mean_error", 0.0)

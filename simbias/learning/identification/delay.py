@@ -116,6 +116,15 @@ class Late(Nominal):
         self.acting = tuple(range(0, self.state_size, 1 + taps))
         self._put_behind(nominal)
 
+    def oddity(self) -> tuple[str, str] | None:
+        """Whether the motors may be later than any delay that was considered."""
+        if not self.at_longest:
+            return None
+        return "the motors may be later than identification.longest", (
+            f"the most probable delay of the motors is the longest that is considered ({self.delay:g} s), "
+            "so they may be later: raise identification.longest"
+        )
+
     def _put_behind(self, nominal: Nominal) -> None:
         """Let the motors drive this model."""
         if nominal.state_size:

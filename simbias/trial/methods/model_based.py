@@ -71,10 +71,9 @@ class ModelBased(Method):
         evaluates first.
     trajectories
         Number of trajectories that a search plans on the model (`simbias.search.optimizer.ilqr`), beginning
-        at different inputs; it evaluates policies first that follow the best one. They are not
-        compared with the policy in hand, which the hardware has refuted, even if that one costs less on the
-        corrected model; with `from_last` they are, which takes one more evaluation than there are gains. It
-        needs policy=trajectory.
+        at different inputs; it evaluates policies first that follow the best one. Only `from_last` compares
+        them with the last policy, which the hardware has refuted but which may cost less on the corrected
+        model. It needs policy=trajectory.
     random_experiments
         Experiments before the first search, each with random inputs in place of a policy: J of PILCO. They
         count, and are learned from.
