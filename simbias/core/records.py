@@ -39,7 +39,10 @@ class Rollout:
         return len(self.inputs)
 
     def part(self, begin: int, end: int) -> Rollout:
-        """The frames from `begin` up to `end`; a failure is in the part that reaches it."""
+        """The frames from `begin` up to `end`; a failure is in the part that reaches it.
+
+        A later part continues: the inputs before it may still be under way in a motor.
+        """
         failed = self.failed_at is not None and end == self.frames
         return replace(
             self,
@@ -48,6 +51,7 @@ class Rollout:
             measured=None if self.measured is None else self.measured[begin : end + 1],
             failed_at=end - begin if failed else None,
             failure=self.failure if failed else None,
+            continues=self.continues or begin > 0,
         )
 
     def of_states(self, n: int) -> Rollout:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -47,7 +46,7 @@ def _between(pieces: Sequence[Rollout], begin: int, end: int) -> Iterator[Rollou
     for piece in pieces:
         first, last = max(begin, 0), min(end, piece.frames)
         if first < last:
-            yield replace(piece.part(first, last), continues=piece.continues or first > 0)
+            yield piece.part(first, last)
         begin, end = begin - piece.frames, end - piece.frames
 
 

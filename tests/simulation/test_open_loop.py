@@ -108,6 +108,15 @@ def test_where_a_record_continues_its_first_input_was_held() -> None:
     assert Windows.of([within], 10, 5).leads == 0
 
 
+def test_parts_of_an_experiment_are_predicted_as_the_whole() -> None:
+    """A late motor still has the input of before a cut, which lasts for as long as the motor remembers."""
+    rng, models = np.random.default_rng(0), [PredictionModel(Lagging(0.2))]
+    whole = Rollout(rng.standard_normal((301, 2)), rng.standard_normal((4, 1)).repeat((50, 100, 100, 50), 0))
+    parts = Windows.of([whole.part(begin, begin + 100) for begin in (0, 100, 200)], 10, 5)
+    made = predicted_as_plain(models, parts, 1e-12)
+    np.testing.assert_allclose(made, plain(models, Windows.of([whole], 10, 5)), atol=1e-5)
+
+
 def test_memory_of_states_is_that_of_the_record() -> None:
     """Not of what was predicted before the state was reset."""
     rng = np.random.default_rng(0)
