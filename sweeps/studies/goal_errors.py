@@ -1,10 +1,10 @@
 """How far from their goal the policies are with which a sweep's trials ended.
 
 `python sweeps/studies/goal_errors.py SWEEP FILE RIVAL ...`, beside the folder `trials`, writes a row of the
-file for each finished trial of a sweep whose last policies were tested. It prints a table, with how many
-times less errors are than those of rivals, labels of the last axis. An error is the root mean square, over a
-test episode, of the distance from the goal, whose quantities have one unit; a trial's is the mean over its
-test episodes, of those that failed while they lasted.
+file for each finished trial of a sweep whose last policies were tested, and draws them beside it. It prints
+a table, with how many times less errors are than those of rivals, labels of the last axis. An error is the
+root mean square, over a test episode, of the distance from the goal, whose quantities have one unit; a
+trial's is the mean over its test episodes, of those that failed while they lasted.
 """
 
 from __future__ import annotations
@@ -17,13 +17,19 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from last_policies import TRIALS, finished
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from simbias.core import markdown
+from simbias.pictures.elements.dots import draw_dots
+from simbias.pictures.elements.layout import legend
+from simbias.pictures.elements.style import HARDWARE, logarithmic, plain, save
 from simbias.sweep.grid import Sweep, expand
 from simbias.sweep.statistics import mean_text
 from simbias.trial.folder import EPISODES
 
 HEAD = ["trials", "that differ", "RMS error (mm)", "least to most", "failed episodes"]
+DOT, MARGIN = 0.07, 1.2  # of an error's logarithm, within which dots are spread; beside the extreme errors
 
 
 def errors_of(row: dict[Any, Any], axes: list[str]) -> dict[str, Any]:
@@ -55,12 +61,39 @@ def _mean(errors: pd.Series, over: pd.Series | float = 1.0) -> str:
     return mean_text(ratios, ".1f") if errors.is_unique else f"{ratios.mean():.1f}"
 
 
+def figure(sweep: Sweep, errors: pd.DataFrame) -> Figure:
+    """Each trial's error, a row for each cell; the first axis' values have panels of their own."""
+    outer, inner = sweep.axes
+    made = Figure(figsize=(7.2, 0.3 * len(inner.labels) + 0.9), layout="constrained")
+    all_axes, mm = made.subplots(1, len(outer.labels), sharex=True, sharey=True), 1000 * errors["error"]
+    for axes, label in zip(all_axes, outer.labels, strict=True):
+        for row, method in enumerate(inner.labels):
+            own = (errors[outer.name] == label) & (errors[inner.name] == method)
+            values, succeeded = mm[own].to_numpy(), errors["outcome"][own] == "succeeded"
+            draw_dots(axes, row, values, succeeded.to_numpy(), HARDWARE, np.round(np.log(values) / DOT))
+        axes.set(title=label, xlabel="RMS error (mm)")
+        logarithmic(axes.xaxis)
+        plain(axes, "x")
+    axes.set_xlim(mm.min() / MARGIN, mm.max() * MARGIN)
+    axes.set_yticks(range(len(inner.labels)), inner.labels)
+    axes.set_ylim(len(inner.labels) - 0.4, -0.6)
+    dot: dict[str, Any] = {"color": HARDWARE, "marker": "o", "markersize": 4, "linestyle": ""}
+    marks = {
+        "trial that succeeds": Line2D([], [], **dot),
+        "trial that never does": Line2D([], [], markerfacecolor="white", **dot),
+        "mean": Line2D([], [], color="0.2", marker="|", markersize=10, linestyle=""),
+    }
+    legend(made, marks)
+    return made
+
+
 def main(name: str, path: Path, *rivals: str) -> None:
     """Write the file and print the table."""
     sweep = expand([f"+sweep={name}"])
     axes = [axis.name for axis in sweep.axes]
     errors = pd.DataFrame([errors_of(row, axes) for row in finished(sweep).to_dict("records")])
     errors.to_csv(path, index=False, float_format="%.6g", lineterminator="\n")
+    save(figure(sweep, errors), path.with_suffix(".png"))
     print(table(sweep, errors, rivals), end="")
 
 

@@ -17,6 +17,7 @@ import pandas as pd
 import pytest
 from conftest import ROOT
 from errors import one_line
+from matplotlib.collections import PathCollection
 from paired import paired
 from published import HEAD, held
 from shipped import shortened
@@ -226,6 +227,9 @@ def test_the_table_of_tracking_errors_is_that_of_the_trials() -> None:
     assert list(errors["repetition"]) == list(results.published(sweep)["repetition"])
     rivals = ("nothing learned", "nominal model alone")
     assert goal_errors.table(sweep, errors, rivals) == (folder / "errors.md").read_text()
+    drawn = (axes.collections for axes in goal_errors.figure(sweep, errors).axes)
+    dots = [each.get_offsets()[:, 0] for some in drawn for each in some if isinstance(each, PathCollection)]
+    np.testing.assert_allclose(sorted(np.concatenate(dots)), sorted(1000 * errors["error"]))
 
 
 @pytest.mark.slow

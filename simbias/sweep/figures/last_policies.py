@@ -6,15 +6,12 @@ from collections.abc import Sequence
 from textwrap import fill
 from typing import Any
 
-import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, PercentFormatter
-from matplotlib.transforms import ScaledTranslation
 
-from simbias.core.records import Array
+from simbias.pictures.elements.dots import draw_dots
 from simbias.pictures.elements.layout import legend
 from simbias.pictures.elements.style import HARDWARE, LIMIT, SIMULATION, literal, plain
 from simbias.sweep.batches import Outcomes
@@ -25,8 +22,6 @@ from simbias.sweep.tables import RELIABLE, numbers_of_episodes, success_rate, un
 ROW, REST, WIDTH = 0.3, 1.1, 7.2  # in, of a cell and of all else
 LETTERS, LINE = 44, 0.17  # of a line of a cell's label; in, its height
 RIGHTMOST = 1.06  # of the axis over the largest number of experiments, so that its dots are whole
-SPREAD = 0.8  # of a row's height, over which dots that would hide each other are spread
-FEW, ASIDE = 5, 1.6 / 72  # dots that fit one above the other; in, by which more of them lie left and right
 COLORS = {"experiments": SIMULATION, "success_rate": HARDWARE}
 
 
@@ -92,7 +87,9 @@ def _figure(numbers: pd.DataFrame, cells: Sequence[str], words: str) -> Figure:
     left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1, 1.6))
     for axes, column, label in ((left, "experiments", "experiments"), (right, "success_rate", words)):
         for place in range(len(cells)):
-            _draw_row(axes, place, numbers[numbers.index == place], column)
+            own = numbers[numbers.index == place]
+            succeeded = own["succeeded"].to_numpy(dtype=bool)
+            draw_dots(axes, place, own[column].to_numpy(dtype=float), succeeded, COLORS[column])
         axes.set_xlabel(label)
         plain(axes, "x")
     left.set_xlim(0, RIGHTMOST * numbers["experiments"].max())
@@ -111,30 +108,3 @@ def _figure(numbers: pd.DataFrame, cells: Sequence[str], words: str) -> Figure:
     }
     legend(figure, marks)
     return figure
-
-
-def _draw_row(axes: Axes, row: int, own: pd.DataFrame, column: str) -> None:
-    """The trials of a cell."""
-    if own.empty:
-        return
-    values, color = own[column].to_numpy(dtype=float), COLORS[column]
-    succeeded = own["succeeded"].to_numpy(dtype=bool)
-    order = np.argsort(succeeded, kind="stable")  # hollow dots lie above filled ones
-    values, faces = values[order], np.where(succeeded[order], color, "white")
-    heights, sides = _aside(values)
-    axes.vlines(values.mean(), row - 0.4, row + 0.4, color="0.2", linewidth=1.2, zorder=2)
-    for side in (-1, 0, 1):
-        shift = axes.transData + ScaledTranslation(side * ASIDE, 0, axes.figure.dpi_scale_trans)
-        x, y, c = (each[sides == side] for each in (values, row + heights, faces))
-        axes.scatter(x, y, s=11, c=c, edgecolors=color, linewidths=0.8, transform=shift, zorder=3)
-
-
-def _aside(values: Array) -> tuple[Array, Array]:
-    """How far dots (k,) move up or down, so that equal values lie one above the other, and to which side."""
-    aside, sides = np.zeros((2, len(values)))
-    for value in np.unique(values):
-        equal = np.flatnonzero(values == value)
-        order, count = np.arange(len(equal)), len(equal)
-        aside[equal] = SPREAD * (order - (count - 1) / 2) / max(count, FEW)
-        sides[equal] = (2 * (order % 2) - 1) * (count > FEW)
-    return aside, sides

@@ -1,0 +1,42 @@
+"""Dots of trials in rows, one for each cell of a sweep."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.transforms import ScaledTranslation
+
+from simbias.core.records import Array, Flags
+
+SPREAD = 0.8  # of a row's height, over which dots that would hide each other are spread
+FEW, ASIDE = 5, 1.6 / 72  # dots that fit one above the other; in, by which more of them lie left and right
+
+
+def draw_dots(
+    axes: Axes, row: int, values: Array, succeeded: Flags, color: str, alike: Array | None = None
+) -> None:
+    """A cell's trials, values (k,): filled where they succeeded, and a bar at their mean.
+
+    Dots with the same value, or the same number of `alike` (k,), lie side by side.
+    """
+    if not len(values):
+        return
+    order = np.argsort(succeeded, kind="stable")  # hollow dots lie above filled ones
+    values, faces = values[order], np.where(succeeded[order], color, "white")
+    heights, sides = _aside(values if alike is None else alike[order])
+    axes.vlines(values.mean(), row - 0.4, row + 0.4, color="0.2", linewidth=1.2, zorder=2)
+    for side in (-1, 0, 1):
+        shift = axes.transData + ScaledTranslation(side * ASIDE, 0, axes.figure.dpi_scale_trans)
+        x, y, c = (each[sides == side] for each in (values, row + heights, faces))
+        axes.scatter(x, y, s=11, c=c, edgecolors=color, linewidths=0.8, transform=shift, zorder=3)
+
+
+def _aside(values: Array) -> tuple[Array, Array]:
+    """How far dots (k,) move up or down, so that equal values lie one above the other, and to which side."""
+    aside, sides = np.zeros((2, len(values)))
+    for value in np.unique(values):
+        equal = np.flatnonzero(values == value)
+        order, count = np.arange(len(equal)), len(equal)
+        aside[equal] = SPREAD * (order - (count - 1) / 2) / max(count, FEW)
+        sides[equal] = (2 * (order % 2) - 1) * (count > FEW)
+    return aside, sides
