@@ -188,14 +188,10 @@ def assess(
     rest = [others(all_parts, i) for i in range(len(all_parts))]
     if kept:
         models = [identified]
-    elif len(all_parts) == 2:
-        models = alone[::-1]
     else:
-        models = [fit(each, each.name) for each in rest]
-    if kept or len(recordings) > 1:
-        models = [model.elsewhere() for model in models]
-    else:  # parts of one recording, which are alike in what it has of its own
-        models = [model.of_recording(0) for model in models]
+        models = alone[::-1] if len(all_parts) == 2 else [fit(each, each.name) for each in rest]
+    one = not kept and len(recordings) == 1  # its parts are alike in what it has of its own
+    models = [model.of_recording(0) if one else model.elsewhere() for model in models]
     pairs = zip(alone, rest, strict=True)
     learned = [(model.elsewhere(), apart.rollouts) for model, apart in pairs] if kept else []
     assessment = Assessment(

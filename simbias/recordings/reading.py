@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from simbias.core import HardwareError
+from simbias.core import HardwareError, Task
 from simbias.core.digest import short_digest
 from simbias.core.errors import ConfigError, reason
 from simbias.core.messages import counted, words
 from simbias.core.records import Array, Rollout
 from simbias.lab.recorded import CSV, Recorded
+from simbias.lab.recording import Reader, Recording
 from simbias.lab.signals import BAGS
 from simbias.learning.identification.posterior import Posterior
 from simbias.recordings.parts import Part
@@ -66,51 +68,69 @@ def read(
     ConfigError
         If there is no such file, or one cannot be read or is too short; the message is one line.
     """
-    hardware = study.hardware
-    if columns or not isinstance(hardware, Recorded):
-        try:
-            hardware = Recorded(study.task, ".", columns=columns)
-        except ValueError as error:
-            raise ConfigError("columns", words(error).removeprefix("columns ")) from error
+    reader, needed = _reader(study, columns), _needed(study, windows)
     files, kept = _all_files(places), {_samples(pieces) for pieces in held_out}
     rollouts, times = dict[str, tuple[Rollout, ...]](), dict[str, tuple[Array, ...]]()
-    notes, extents = dict[str, list[str]](), list[str]()  # the files that a note is on
-    seen, needed, posterior, doubt = set[str](), None, study.identification, ""
-    if windows and isinstance(posterior, Posterior):
-        needed = posterior.with_window(windows * posterior.window)
+    notes, extents = defaultdict[str, list[str]](list), list[str]()  # the files that a note is on
+    seen, doubt = set[str](), ""
     for file in files:
         name = _name(file, files)
         try:
-            recording = hardware.reader.read(file, whole_lines=True)
+            recording = reader.read(file, whole_lines=True)
         except HardwareError as error:
             raise ConfigError("", words(error)) from error
         if (samples := _samples(recording.pieces)) in kept:
-            notes.setdefault("held out, so not fitted to", []).append(name)
+            notes["held out, so not fitted to"].append(name)
             continue
         if recording.coarse:
             doubt = f"velocities are estimated in frames of {study.task.time_step:g} s"
         for note in recording.notes:
-            notes.setdefault(note, []).append(name)
+            notes[note].append(name)
         if samples in seen:
-            notes.setdefault("has the samples of another file, so it does not count again", []).append(name)
+            notes["has the samples of another file, so it does not count again"].append(name)
             continue
         seen.add(samples)
-        pieces = [
-            (replace(piece, continues=i > 0), when)
-            for i, (piece, when) in enumerate(zip(recording.pieces, recording.times, strict=True))
-            if not needed or needed.windows([piece])
-        ]
+        pieces = _pieces(recording, needed)
         if needed and not pieces:
             raise ConfigError(str(file), f"is shorter than a window of {needed.window:g} s")
         if needed and (left := len(recording.pieces) - len(pieces)):
-            short = f"{counted(left, 'piece')} of less than {needed.window:g} s left out"
-            notes.setdefault(short, []).append(name)
+            notes[f"{counted(left, 'piece')} of less than {needed.window:g} s left out"].append(name)
         rollouts[name], times[name] = zip(*pieces, strict=True)
-        seconds = study.task.time_step * sum(piece.frames for piece, _ in pieces)
-        intervals = sum(len(when) - 1 for _, when in pieces)
-        extents.append(f"{name} {seconds:.3g} s at {intervals / seconds:.3g} Hz")
+        extents.append(f"{name} {_extent(study.task, rollouts[name], times[name])}")
     told = tuple(f"{', '.join(names)}: {note}" for note, names in notes.items())
     return Recordings(rollouts, times, told, ", ".join(extents), doubt)
+
+
+def _reader(study: Study, columns: Mapping[str, str] | None) -> Reader:
+    """That of the columns, of the study's recordings, or of the task's own names."""
+    if isinstance(study.hardware, Recorded) and not columns:
+        return study.hardware.reader
+    try:
+        return Recorded(study.task, ".", columns=columns).reader
+    except ValueError as error:
+        raise ConfigError("columns", words(error).removeprefix("columns ")) from error
+
+
+def _needed(study: Study, windows: float) -> Posterior | None:
+    """A posterior of the windows that a piece has to hold, where pieces are chosen by them."""
+    posterior = study.identification
+    if not windows or not isinstance(posterior, Posterior):
+        return None
+    return posterior.with_window(windows * posterior.window)
+
+
+def _pieces(recording: Recording, needed: Posterior | None) -> list[tuple[Rollout, Array]]:
+    """The pieces between gaps that are long enough, and their samples' times."""
+    pairs = zip(recording.pieces, recording.times, strict=True)
+    numbered = ((replace(piece, continues=i > 0), when) for i, (piece, when) in enumerate(pairs))
+    return [(piece, when) for piece, when in numbered if not needed or needed.windows([piece])]
+
+
+def _extent(task: Task, pieces: Sequence[Rollout], times: Sequence[Array]) -> str:
+    """How long pieces are together, and at which rate they were sampled."""
+    seconds = task.time_step * sum(piece.frames for piece in pieces)
+    intervals = sum(len(when) - 1 for when in times)
+    return f"{seconds:.3g} s at {intervals / seconds:.3g} Hz"
 
 
 def _samples(pieces: Sequence[Rollout]) -> str:
