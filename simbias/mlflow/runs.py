@@ -40,8 +40,6 @@ if TYPE_CHECKING:
 URI, EXPERIMENT = "sqlite:///mlflow.db", "simbias"  # where none are named
 AWAY = "simbias: MLflow: %s. All is kept in %s; once the store is back, this shows it:  %s"
 NOT_EXPORTED = "simbias: MLflow does not show a trial: %s"
-BATCH = 100  # parameters that MLflow takes at once
-METRICS = 800  # metrics at once: MLflow takes 1000 of metrics, parameters and tags
 
 Point = tuple[str, float, int, float]  # name, value, step, s since the epoch
 Files = Mapping[str, Path | bytes]  # by their names among the artifacts: what is copied, or written
@@ -219,7 +217,7 @@ class RunExport(Export):
         files: Files,
         tags: Mapping[str, str],
         parameters: Mapping[str, str],
-        metrics: Sequence[Sequence[Point]],
+        metrics: Sequence[Point],
         again: bool = False,
     ) -> None:
         """Write numbers and texts; before them files that are not there in this size, `again` all."""
@@ -244,10 +242,10 @@ def flush(
     run_id: str,
     files: Files,
     parameters: Mapping[str, str],
-    metrics: Sequence[Sequence[Point]],
+    metrics: Sequence[Point],
     tags: Mapping[str, str],
 ) -> None:
-    """Write all of it: files first, so that who finds metrics finds all; those of a list stay together."""
+    """Write all of it: files first, so that who finds metrics finds all; these in their order."""
     from mlflow.entities import Metric, Param, RunTag
 
     if files:
@@ -257,26 +255,9 @@ def flush(
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_bytes(content) if isinstance(content, bytes) else shutil.copyfile(content, path)
             client.log_artifacts(run_id, folder)
-    params = [Param(key, value) for key, value in parameters.items()]
-    for start in range(BATCH, len(params), BATCH):
-        client.log_batch(run_id, params=params[start : start + BATCH])
-    *before, last = [
-        [Metric(name, value, int(1000 * time), step) for name, value, step, time in batch]
-        for batch in _batches(metrics)
-    ]
-    for batch in before:
-        client.log_batch(run_id, metrics=batch)
-    own_tags = [RunTag(key, value) for key, value in tags.items()]
-    client.log_batch(run_id, metrics=last, params=params[:BATCH], tags=own_tags)
-
-
-def _batches(lists: Sequence[Sequence[Point]]) -> list[list[Point]]:
-    """Lists of metrics, put together as far as MLflow takes them at once; those of a list stay together."""
-    batches: list[list[Point]] = [[]]
-    for metrics in lists:
-        for start in range(0, len(metrics), METRICS):
-            part = metrics[start : start + METRICS]
-            if len(batches[-1]) + len(part) > METRICS:
-                batches.append([])
-            batches[-1] += part
-    return batches
+    client.log_batch(  # in as many parts as MLflow takes at once
+        run_id,
+        metrics=[Metric(name, value, int(1000 * time), step) for name, value, step, time in metrics],
+        params=[Param(key, value) for key, value in parameters.items()],
+        tags=[RunTag(key, value) for key, value in tags.items()],
+    )

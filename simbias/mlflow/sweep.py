@@ -63,7 +63,7 @@ class SweepRun(RunExport):
             contents = (each if isinstance(each, bytes) else each.read_bytes() for each in files.values())
             tags[FILES] = short_digest(b"".join(contents))
         again = final and run.data.tags.get(FILES) != tags[FILES]
-        self.bring(run, files, tags, {}, [points], again)
+        self.bring(run, files, tags, {}, points, again)
         if tables:
             self._write_table()
         status = STATUS.get(state.get("verdict", RUNNING), "FAILED")

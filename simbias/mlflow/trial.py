@@ -115,14 +115,18 @@ def began_at(folder: TrialFolder) -> list[int]:
 
 def _new_metrics(
     iterations: Sequence[Mapping[str, Any]], summary: TrialSummary | None, run: Run
-) -> Iterator[list[Point]]:
-    """The numbers that the run lacks: a list for each iteration, and one for the trial that has ended."""
+) -> Iterator[Point]:
+    """The numbers that the run lacks, of each iteration and of a trial that has ended.
+
+    Which iteration it was comes last: one whose numbers were cut off is exported again.
+    """
     for each in iterations[int(run.data.metrics.get(ITERATIONS, 0)) :]:
         step, time = each["iteration"], each["ended"]
-        yield [(_name(key), value, step, time) for key, value in each["metrics"].items()]
+        numbers = sorted(each["metrics"].items(), key=lambda item: item[0] == ITERATIONS)
+        yield from ((_name(key), value, step, time) for key, value in numbers)
     if summary is not None and summary.outcome.final:
         new = {key: each for key, each in summary.metrics().items() if run.data.metrics.get(key) != each}
-        yield [(key, value, 0, summary.ended) for key, value in new.items()]
+        yield from ((key, value, 0, summary.ended) for key, value in new.items())
 
 
 def parameters(description: Mapping[str, Any]) -> dict[str, str]:
