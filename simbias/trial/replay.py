@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from simbias.core import Optimizer
 from simbias.core.evaluations import Evaluations
-from simbias.core.records import Array, Optimum
+from simbias.core.records import Optimum
 from simbias.lab.checked_hardware import ExperimentRecord
 
 
@@ -39,15 +41,6 @@ class ReplayedOptimizer(Optimizer):
         """Search as the optimizer does."""
         return self._optimizer.search(evaluations, rng)
 
-    def minimize(
-        self,
-        objective: Callable[[Array], float],
-        lower: Array,
-        upper: Array,
-        rng: np.random.Generator,
-        target_cost: float = np.inf,
-        candidates: Iterable[Array] = (),
-    ) -> Optimum:
+    def minimize(self, *arguments: Any, **options: Any) -> Optimum:
         """The optimum, or the one that was found in its place before."""
-        minimize = self._optimizer.minimize
-        return self._record.search(lambda: minimize(objective, lower, upper, rng, target_cost, candidates))
+        return self._record.search(partial(self._optimizer.minimize, *arguments, **options))
