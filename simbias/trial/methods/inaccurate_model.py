@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from simbias.core import failure_name
 from simbias.core.model import Model
 from simbias.core.ranges import Count, Deviation
 from simbias.core.records import Array, Iteration, Rollout
+from simbias.simulation.numpy_loop import record
 from simbias.trial.method import Method
 from simbias.trial.observer import Observer
 from simbias.trial.steps import Stopwatch, experiment, iteration_record, log_costs, search
@@ -54,14 +54,14 @@ class InaccurateModel(Method):
             with clock("experiments"):
                 rollouts = experiment(study, model, theta, hardware_rng, observer, self.experiments, 1)
             made += len(rollouts)
-            record = iteration_record(study, index, theta, rollouts, made, clock, model, found)
-            yield record
-            if record.succeeded:
+            tried = iteration_record(study, index, theta, rollouts, made, clock, model, found)
+            yield tried
+            if tried.succeeded:
                 return
             clock, found = Stopwatch(), None
             with clock("search"):
-                if record.hardware_cost < least:
-                    best, least, step = theta, record.hardware_cost, self.step
+                if tried.hardware_cost < least:
+                    best, least, step = theta, tried.hardware_cost, self.step
                     worst = max(rollouts, key=lambda rollout: rollout.cost)
                     direction = -gradient(study, model, theta, worst)
                 else:
@@ -99,10 +99,5 @@ def along(model: Model, thetas: Array, experiment: Rollout) -> list[Rollout]:
         following, model_state = nominal.advance(states[:, t, :n], inputs[:, t], model_state)
         states[:, t + 1, :n] = following + (missed[t] if t < len(missed) else 0.0)
         states[violated >= 0, t + 1] = states[violated >= 0, t]  # where it has fallen, nothing overflows
-    rollouts = [Rollout(x[: T + 1], u[:T]) for x, u, T in zip(states, inputs, frames, strict=True)]
-    return [
-        rollout
-        if index < 0
-        else replace(rollout, failed_at=rollout.frames, failure=failure_name(task.criteria, index))
-        for rollout, index in zip(rollouts, violated.tolist(), strict=True)
-    ]
+    ends = zip(frames.tolist(), violated.tolist(), strict=True)
+    return [record(task.criteria, x, u, *end) for x, u, end in zip(states, inputs, ends, strict=True)]
