@@ -6,7 +6,7 @@ import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TextIO
+from typing import Any
 
 from numba.core.event import Event, Listener, install_listener
 
@@ -44,16 +44,9 @@ def slowness_in_one_line() -> Iterator[None]:
     shown_otherwise = warnings.showwarning
     shown: set[str] = set()
 
-    def show(
-        message: Warning | str,
-        category: type[Warning],
-        filename: str,
-        lineno: int,
-        file: TextIO | None = None,
-        line: str | None = None,
-    ) -> None:
-        if not issubclass(category, SlowWarning):
-            shown_otherwise(message, category, filename, lineno, file, line)
+    def show(message: Warning | str, *place: Any, **otherwise: Any) -> None:
+        if not isinstance(message, SlowWarning):
+            shown_otherwise(message, *place, **otherwise)
         elif str(message) not in shown:
             print(f"simbias: {message}", file=sys.stderr)
             shown.add(str(message))
