@@ -141,7 +141,7 @@ class Variations:
         groups = by_hydra(tuple(split.structure)).choices if settings else {}
         options = [f"{key}={value}" for key, value in settings.items() if key in groups]
         whole = by_hydra((*split.structure, *options))
-        config = whole.configs.copy()
+        config = whole.config()
         further = ((key, value) for key, value in settings.items() if key not in groups)
         for key, value in (*split.values, *further):
             set_value(config, key, value)

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import pickle
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 
-class Copies:
-    """As many copies as asked for; they never leave the process."""
-
-    def __init__(self, original: object) -> None:
-        self._pickled = pickle.dumps(original)
-
-    def copy(self) -> Any:
-        """A copy of one's own."""
-        return pickle.loads(self._pickled)
+def copies(original: object) -> Callable[[], Any]:
+    """A function that makes copies of an object, as many as asked for; they never leave the process."""
+    return partial(pickle.loads, pickle.dumps(original))

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from simbias.config.copies import Copies
+from simbias.config.copies import copies
 from simbias.config.renamed import unknown
 from simbias.config.resources import forget_sweeps, register_sweep, resource_folder
 from simbias.core.errors import ConfigError, reason
@@ -30,7 +30,7 @@ SEVERAL = "has several values: a list needs brackets, many trials are a sweep (+
 class Composed(NamedTuple):
     """A composition by Hydra."""
 
-    configs: Copies  # interpolations not yet resolved
+    config: Callable[[], Any]  # a copy, interpolations not yet resolved
     choices: Mapping[str, str]
 
 
@@ -67,7 +67,7 @@ def composed(overrides: Sequence[str], config_dir: str | None, grid: bool, files
     with open_dict(config):
         del config["hydra"]
     OmegaConf.set_struct(config, True)
-    return Composed(Copies(config), choices)
+    return Composed(copies(config), choices)
 
 
 def _noise_of_hardware(*, _root_: DictConfig) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from hydra.core.plugins import Plugins
 from hydra.plugins.config_source import ConfigResult, ConfigSource
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 
-from simbias.config.copies import Copies
+from simbias.config.copies import copies
 from simbias.config.resources import check_ends, resource_folder
 
 SCHEME = "simbias"
@@ -32,7 +33,7 @@ class OptionFiles(_Files):
         """The content of a file, which Hydra changes as it composes; read again once the file has changed."""
         about = os.stat(os.path.join(self.path, f"{config_path.removesuffix('.yaml')}.yaml"))
         read = _read(self.provider, self.path, config_path, about.st_mtime_ns, about.st_size)
-        result: ConfigResult = read.copy()
+        result: ConfigResult = read()
         return result
 
 
@@ -47,10 +48,10 @@ class ShippedOptions(SearchPathPlugin):
 
 
 @lru_cache(maxsize=1000)
-def _read(provider: str, folder: str, config_path: str, time: int, size: int) -> Copies:
+def _read(provider: str, folder: str, config_path: str, time: int, size: int) -> Callable[[], Any]:
     """A file's content as Hydra reads it."""
     check_ends(Path(folder, f"{config_path.removesuffix('.yaml')}.yaml"))
-    return Copies(_Files(provider, f"file://{folder}").load_config(config_path))
+    return copies(_Files(provider, f"file://{folder}").load_config(config_path))
 
 
 @cache
