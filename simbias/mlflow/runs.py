@@ -20,16 +20,7 @@ from simbias.core.digest import short_digest
 from simbias.core.errors import ConfigError
 from simbias.core.messages import redact
 from simbias.engine import workplace
-from simbias.mlflow import pages
-from simbias.mlflow.store import (
-    MAKING_SECONDS,
-    connect,
-    database,
-    file_number,
-    is_server,
-    reaching,
-    trials_beside,
-)
+from simbias.mlflow import pages, store
 from simbias.sweep.tracking import Export
 from simbias.trial.disk import locked
 
@@ -58,14 +49,14 @@ class Runs:
         self.uri, self._experiment, self._trials = uri, experiment, trials
         self.away = False  # the store, when it was last written to
         self._client: MlflowClient | None = None
-        if not is_server(self.uri):
+        if not store.is_server(self.uri):
             self._connect()
 
     def _connect(self) -> MlflowClient:
         """Reach the store, or raise a ConfigError."""
-        self._client, self.experiment_id = connect(self.uri, self._experiment)
-        self._file = database(self.uri)
-        self._number = file_number(self._file)
+        self._client, self.experiment_id = store.connect(self.uri, self._experiment)
+        self._file = store.database(self.uri)
+        self._number = store.file_number(self._file)
         return self._client
 
     @property
@@ -79,7 +70,7 @@ class Runs:
         """
         if self._client is None:
             return self._connect()
-        if file_number(self._file) != self._number:
+        if store.file_number(self._file) != self._number:
             raise ConfigError(
                 "tracking.uri", f"{redact(self.uri, self.uri)}: the store was moved, or another put there"
             )
@@ -87,7 +78,7 @@ class Runs:
 
     def address(self, identity: str, run_id: str) -> str:
         """The way to look at the run of a hash: a command, or the page of a server."""
-        if is_server(self.uri):
+        if store.is_server(self.uri):
             uri = redact(self.uri, self.uri)
             return f"{uri.rstrip('/')}/{pages.run_page(self.experiment_id, run_id)}"
         return self._command("ui", identity)
@@ -102,7 +93,7 @@ class Runs:
     @property
     def export_command(self) -> str:
         """The command that shows all trials in the store, to be pasted."""
-        return self._command("export", trials=(self._trials, trials_beside(self.uri)))
+        return self._command("export", trials=(self._trials, store.trials_beside(self.uri)))
 
     def page(self, identity: str | None) -> str:
         """The page, within the UI, of the run of this hash, or of all; a ConfigError if no run has it."""
@@ -119,7 +110,7 @@ class Runs:
         if self.away and not again:
             return
         try:
-            with reaching(self.uri):
+            with store.reaching(self.uri):
                 readable(write)
             self.away = False
         except ConfigError as error:
@@ -134,9 +125,10 @@ class Runs:
 
     def making(self) -> AbstractContextManager[None]:
         """While a run is looked up and made if need be, no other process of this machine makes one here."""
-        taken = ConfigError("tracking.uri", f"another process has been making a run for {MAKING_SECONDS:g} s")
-        store = short_digest(f"{database(self.uri) or self.uri} {self._experiment}".encode())
-        return locked(cache_folder("stores") / f"{store}.lock", MAKING_SECONDS, taken)
+        seconds = store.MAKING_SECONDS
+        taken = ConfigError("tracking.uri", f"another process has been making a run for {seconds:g} s")
+        name = short_digest(f"{store.database(self.uri) or self.uri} {self._experiment}".encode())
+        return locked(cache_folder("stores") / f"{name}.lock", seconds, taken)
 
     def nested(self, parent: str) -> dict[str, list[Run]]:
         """The runs of a sweep's trials by their hash, newest first."""
