@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from conftest import PYTHONPATH
 from faulty_hardware import CONVERTED, LEFT, RAISED, RETURNED
+from hardware import Doing
 from labs import THETA
 from processes import INTERRUPTIBLE, wait_for
 from records import assert_equal
@@ -65,16 +66,6 @@ LINES = {
     "no frame of failure": "run: failure: expected None without failed_at, got 'distance'",
     "sensed": "run: sensed: expected true or false, got 'yes'",
 }
-
-
-class Doing(Hardware):
-    """What another hardware does, and then something else."""
-
-    def __init__(self, hardware: Hardware, fault: Callable[[Rollout], Any]) -> None:
-        self._hardware, self._fault = hardware, fault
-
-    def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Any:
-        return self._fault(self._hardware.run(policy, theta, start, rng))
 
 
 def experiment(study: Study, fault: Callable[[Rollout], Any], timeout: float | None = None) -> Rollout:

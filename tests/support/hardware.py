@@ -1,12 +1,24 @@
 """Hardware of a study wrapped, for tests of trials."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from simbias.core import Hardware, Policy, Waiting
 from simbias.core.records import Array, Rollout
 from simbias.trial.study import Study
+
+
+class Doing(Hardware):
+    """What another hardware does, and then something else."""
+
+    def __init__(self, hardware: Hardware, fault: Callable[[Rollout], Any]) -> None:
+        self._hardware, self._fault = hardware, fault
+
+    def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Any:
+        return self._fault(self._hardware.run(policy, theta, start, rng))
 
 
 class Counted(Hardware):

@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from faulty_hardware import CONF, DEADLY, MENDED, RAISED, RETURNED, Faulty
+from hardware import Doing
 from records import assert_equal, step_names, timeless
 from texts import write
 from trial_process import start
 
 import simbias
-from simbias.core import Bias, FittedBias, Hardware, Policy
-from simbias.core.records import Array, Rollout, Transitions
+from simbias.core import Bias, FittedBias
+from simbias.core.records import Transitions
 from simbias.learning.bias.none import ConstantBias
 from simbias.trial import record as folders
 from simbias.trial.folder import TrialFolder
@@ -43,18 +44,6 @@ def uninterrupted(study: Study) -> TrialRecord:
 
 def faulty(study: Study, fault: str) -> Study:
     return replace(study, hardware=Faulty(study.task, fault))
-
-
-class Instead(Hardware):
-    """Raises or returns something in place of an experiment."""
-
-    def __init__(self, what: object) -> None:
-        self._what = what
-
-    def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
-        if isinstance(self._what, BaseException):
-            raise self._what
-        return self._what  # type: ignore[return-value]
 
 
 def test_whatever_a_hardware_does_the_trial_ends_in_one_line(
@@ -110,13 +99,14 @@ REFUSED: list[tuple[object, object]] = [  # what is returned, and what is kept o
 def test_all_that_a_hardware_returned_is_kept_each_time(study: Study, tmp_path: Path) -> None:
     """Every number in full; what is no number in words."""
     for number, (returned, expected) in enumerate(REFUSED):
+        hardware = Doing(study.hardware, lambda _, returned=returned: returned)
         file = tmp_path / f"refused_{number:04d}.json"
-        record = run_trial(replace(study, hardware=Instead(returned)), tmp_path)
+        record = run_trial(replace(study, hardware=hardware), tmp_path)
         assert record.summary.reason.endswith(f"; it is kept in {file}")
         kept = json.loads(file.read_text())
         assert kept["returned"] == expected
         assert (len(kept["parameters"]), len(kept["start"])) == (5, 6)
-        assert kept["why"].startswith("Instead.run: expected a Rollout, got ")
+        assert kept["why"].startswith("Doing.run: expected a Rollout, got ")
 
 
 def test_what_cannot_be_kept_hides_no_reason(
