@@ -129,15 +129,11 @@ def run_policy_test(
     if not test.episodes:
         return None
     task = study.task
-    long = max(task.frames(test.long_seconds), task.horizon)
-    horizons = [long if number < test.long_episodes else task.horizon for number in range(test.episodes)]
-    studies = {
-        horizon: study if horizon == task.horizon else study.with_horizon(horizon)
-        for horizon in set(horizons)
-    }
+    frames = task.frames(test.long_seconds)
+    longer = study.with_horizon(frames) if test.long_episodes and frames > task.horizon else study
     episodes = []
     for number, rng in enumerate(np.random.default_rng(test.seed).spawn(test.episodes)):
-        own, start = studies[horizons[number]], task.draw_start(rng)
+        own, start = longer if number < test.long_episodes else study, task.draw_start(rng)
         trying(number, test.episodes)
         with own.checked_hardware.whole():
             rollout = own.checked_hardware.run(own.policy, np.asarray(theta, dtype=np.float64), start, rng)
