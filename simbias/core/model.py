@@ -22,8 +22,9 @@ class Nominal(ABC):
     """The simulation model f' (Section IV-A).
 
     A model of what the state does not show, as an actuator's lag or a delay, keeps it in its own state,
-    which is zero at the start (`simbias.simulation.actuator`), unless a rollout `continues`. Its bias is a
-    function of the commanded input (Eq. 2), or of the one that acts, where the model state keeps that.
+    which is zero at the start of a rollout (`simbias.simulation.actuator`), not of its parts
+    (`Rollout.with_history`). Its bias is a function of the commanded input (Eq. 2), or of the one that acts,
+    where the model state keeps that.
     """
 
     kernel: Kernel | None = None

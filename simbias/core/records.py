@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
+MEMORY = 1000  # frames, after which the model state is that of a steady input
+
 
 @dataclass(frozen=True, eq=False)
 class Rollout:
@@ -31,7 +33,8 @@ class Rollout:
     sensed: bool = False  # whether the recorded states are these, as on a real robot; else the true ones
     parameters: Array = field(default_factory=lambda: np.empty(0))  # (p,); set by the study that ran it
     source: str | None = None  # the file that a person put, if it was read from one
-    continues: bool = False  # whether it goes on within a recording: its first input had acted before, too
+    earlier: Rollout | None = None  # what its recording holds before it
+    continues: bool = False  # whether it follows a gap in a recording: an input had acted which nobody knows
 
     @property
     def frames(self) -> int:
@@ -39,10 +42,7 @@ class Rollout:
         return len(self.inputs)
 
     def part(self, begin: int, end: int) -> Rollout:
-        """The frames from `begin` up to `end`; a failure is in the part that reaches it.
-
-        A later part continues: the inputs before it may still be under way in a motor.
-        """
+        """The frames from `begin` up to `end`; a failure is in the part that reaches it."""
         failed = self.failed_at is not None and end == self.frames
         return replace(
             self,
@@ -51,7 +51,8 @@ class Rollout:
             measured=None if self.measured is None else self.measured[begin : end + 1],
             failed_at=end - begin if failed else None,
             failure=self.failure if failed else None,
-            continues=self.continues or begin > 0,
+            earlier=self.part(0, begin) if begin else self.earlier,
+            continues=self.continues and not begin,
         )
 
     def of_states(self, n: int) -> Rollout:
@@ -59,7 +60,22 @@ class Rollout:
         if n == self.states.shape[1]:
             return self
         measured = None if self.measured is None else self.measured[:, :n]
-        return replace(self, states=self.states[:, :n], measured=measured)
+        earlier = None if self.earlier is None else self.earlier.of_states(n)
+        return replace(self, states=self.states[:, :n], measured=measured, earlier=earlier)
+
+    def with_history(self) -> tuple[Array, Array]:
+        """States (h+k+1, n) and inputs (h+k, m), from h frames before it on, as far back as models remember.
+
+        After a gap, its first input is taken for what had acted; at rest, and without a gap, nothing had.
+        """
+        states, inputs = self.states, self.inputs
+        if self.earlier is not None:
+            before, sent = self.earlier.with_history()
+            states, inputs = np.concatenate([before[:-1], states]), np.concatenate([sent, inputs])
+        elif self.continues and inputs[:1].any():
+            states, inputs = (np.pad(each, ((MEMORY, 0), (0, 0)), "edge") for each in (states, inputs))
+        begin = max(0, len(inputs) - self.frames - MEMORY)
+        return states[begin:], inputs[begin:]
 
 
 @dataclass(frozen=True, eq=False)

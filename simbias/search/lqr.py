@@ -17,10 +17,9 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from simbias.core import Model, SlowWarning
-from simbias.core.records import Array
+from simbias.core.records import MEMORY, Array
 from simbias.search.goal import resting_goal
 from simbias.simulation.linearization import STEP, advanced, derivatives, input_scale, linear_regulator
-from simbias.simulation.open_loop import SETTLED
 
 INPUT_WEIGHTS = (10.0, 100.0, 1000.0, 10000.0)  # R of inputs at their limits; Q of a state of one unit is 1
 MODEL_STATE_WEIGHT = 1e-9  # Q of the model state
@@ -197,7 +196,7 @@ def linearised(model: Model, goal: Array | None = None) -> Linear:
     """The corrected model with its state, by central differences, at rest near zero or a goal (n,)."""
     x, u = rest(model, goal, exactly=goal is not None)
     n, size, limit = len(x), model.nominal.state_size, input_scale(model.task)
-    model_state = model.nominal.model_states(np.tile(x, (SETTLED, 1)), np.tile(u, (SETTLED, 1)))[-1]
+    model_state = model.nominal.model_states(np.tile(x, (MEMORY, 1)), np.tile(u, (MEMORY, 1)))[-1]
     point = np.concatenate([x, model_state, u])
     steps = STEP * np.concatenate([np.ones(n + size), limit])
     slopes = derivatives(partial(advanced, model.nominal, model.bias, n), point, steps)

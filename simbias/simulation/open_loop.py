@@ -25,7 +25,6 @@ from simbias.simulation.compiler import (
     points_among,
 )
 
-SETTLED = 1000  # frames, after which the model state is that of a steady input
 REST = 1e-9  # of a state's standard deviation: what interpolation leaves of an encoder that stands still
 SOME = 5  # frames that tell whether a model remembers states
 
@@ -52,14 +51,12 @@ class Windows:
 
     @staticmethod
     def of(rollouts: Sequence[Rollout], window: int, chunk: int, noise: Array | float = 0.0) -> Windows:
-        """Windows of a whole number of chunks; no input acted before a rollout, unless it continues."""
+        """Windows of a whole number of chunks; what came before a rollout leads to its first one."""
         window = max(1, round(window / chunk)) * chunk
-        within = [rollout.continues and rollout.inputs[:1].any() for rollout in rollouts]
-        before = SETTLED * np.array(within, np.int64)
-        each = list(zip(rollouts, before.tolist(), strict=True))
-        states = [np.pad(rollout.states, ((b, 0), (0, 0)), "edge") for rollout, b in each]
-        inputs = [np.pad(np.pad(r.inputs, ((b, 0), (0, 0)), "edge"), ((0, 1), (0, 0))) for r, b in each]
+        states, sent = zip(*(rollout.with_history() for rollout in rollouts), strict=True)
+        inputs = [np.pad(each, ((0, 1), (0, 0))) for each in sent]
         k = np.array([rollout.frames for rollout in rollouts], np.int64)
+        before = np.array([len(each) for each in sent], np.int64) - k
         begins = np.cumsum([0, *(before + k + 1)])[:-1]
         leads = before + k % window
         return Windows(

@@ -23,10 +23,11 @@ def packed_rollout(rollout: Rollout, place: tuple[int, ...]) -> bytes:
     Compressed, it would be 5% smaller, and take 20 times as long.
 
     Fields: parameters (p,), states (k+1, n), inputs (k, m), measured (k+1, n), sensed, failed_at, failure,
-    source, place. Costs are not kept: they follow from these; nor that none `continues`.
+    source, place. Costs are not kept: they follow from these; nothing was `earlier`.
     """
-    given: dict[str, Any] = {name: value for name, value in vars(rollout).items() if value is not None}
-    del given["cost"], given["continues"]
+    left_out = ("cost", "earlier", "continues")
+    fields = ((name, value) for name, value in vars(rollout).items() if name not in left_out)
+    given: dict[str, Any] = {name: value for name, value in fields if value is not None}
     file = io.BytesIO()
     np.savez(file, place=np.array(place, dtype=np.int64), **given)
     return file.getvalue()

@@ -174,6 +174,17 @@ def test_samples_hold_the_inputs_that_acted(study: Study, learned: Learned) -> N
     np.testing.assert_array_equal(Windows.of([first], 10, 5).acted(nominal)[:-1], acted)
 
 
+def test_parts_of_an_experiment_tell_as_much_of_late_motors_as_the_whole(study: Study) -> None:
+    """The inputs that are under way at a cut belong to samples, and to what is known of the delay."""
+    whole = late_pendulum(study, 2.0, 60)
+    parts = [whole.part(begin, begin + 20) for begin in (0, 20, 40)]
+    both = [study.identified(rollouts) for rollouts in ([whole], parts)]
+    assert both[0].estimates == both[1].estimates
+    selections = [study.select(each, both[0]).transitions for each in ([whole], parts)]
+    np.testing.assert_array_equal(selections[0].inputs, selections[1].inputs)
+    np.testing.assert_allclose(selections[0].residuals, selections[1].residuals, rtol=1e-12)
+
+
 def test_what_is_linearised_is_what_acts(study: Study) -> None:
     """Derivatives of predictions by a bias' weights, and of a step, are differences of the plain loop."""
     rng = np.random.default_rng(0)

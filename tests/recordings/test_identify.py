@@ -260,7 +260,7 @@ def test_a_single_recording_is_cut_into_thirds() -> None:
     cut = [part.rollouts[0] for part in made]
     np.testing.assert_array_equal(np.concatenate([piece.inputs for piece in cut]), states[:-1])
     assert all(len(piece.states) == piece.frames + 1 for piece in cut)
-    assert [piece.continues for piece in cut] == [False, True, True]
+    assert [len(piece.with_history()[1]) for piece in cut] == [6, 12, 19]
     assert len(parts({str(i): cut[:1] for i in range(12)})) == 5
     assert [part.recordings for part in parts({"one": cut, "two": cut[:1]})] == [("one",) * 3, ("two",)]
     again = [part.rollouts for part in parts({"one": cut[:2] + cut[:1]})]

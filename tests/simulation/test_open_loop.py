@@ -109,12 +109,13 @@ def test_where_a_record_continues_its_first_input_was_held() -> None:
 
 
 def test_parts_of_an_experiment_are_predicted_as_the_whole() -> None:
-    """A late motor still has the input of before a cut, which lasts for as long as the motor remembers."""
-    rng, models = np.random.default_rng(0), [PredictionModel(Lagging(0.2))]
-    whole = Rollout(rng.standard_normal((301, 2)), rng.standard_normal((4, 1)).repeat((50, 100, 100, 50), 0))
-    parts = Windows.of([whole.part(begin, begin + 100) for begin in (0, 100, 200)], 10, 5)
-    made = predicted_as_plain(models, parts, 1e-12)
-    np.testing.assert_allclose(made, plain(models, Windows.of([whole], 10, 5)), atol=1e-5)
+    """A late motor still has the inputs of before a cut; parts of parts and of what follows a gap, too."""
+    rng, models = np.random.default_rng(0), [PredictionModel(Lagging(0.05))]
+    for continues in (False, True):
+        whole = Rollout(rng.standard_normal((301, 2)), rng.standard_normal((300, 1)), continues=continues)
+        cut = [whole.part(0, 100), whole.part(50, 300).part(50, 150), whole.part(200, 300).of_states(2)]
+        made = predicted_as_plain(models, Windows.of(cut, 10, 5), 1e-12)
+        np.testing.assert_allclose(made, plain(models, Windows.of([whole], 10, 5)), rtol=1e-9)
 
 
 def test_memory_of_states_is_that_of_the_record() -> None:

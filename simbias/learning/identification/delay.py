@@ -75,9 +75,11 @@ class Delay(Identification):
         """Of the residuals along the rollouts, in nats."""
         data = Transitions.empty(len(self._task.states), len(self._task.inputs))
         for rollout in rollouts:
-            x, u = rollout.states[:-1], rollout.inputs
-            inputs = np.concatenate([x, model.acted_along(x, u)], axis=1)
-            data |= Transitions(inputs, rollout.states[1:] - model.along(x, u))
+            states, sent = rollout.with_history()
+            x = states[:-1]
+            inputs = np.concatenate([x, model.acted_along(x, sent)], axis=1)
+            own = slice(len(sent) - rollout.frames, None)
+            data |= Transitions(inputs[own], (states[1:] - model.along(x, sent))[own])
         return mode(self._medians, data, self._learning)[1]
 
 

@@ -112,12 +112,13 @@ class Thresholds(Samples):
 
     def _candidates(self, rollout: Rollout, nominal: Nominal) -> tuple[Transitions, Indices]:
         """The samples that begin at each frame, and the index of the criterion that rejects each, or -1."""
-        states, inputs = rollout.states, rollout.inputs
-        window = self._window_of(rollout)
+        states, window = rollout.states, self._window_of(rollout)
         if rollout.frames < window:
-            return Transitions.empty(states.shape[1], inputs.shape[1]), np.empty(0, np.int64)
-        residuals = states[1:] - nominal.along(states[:-1], inputs)  # Eq. 6
-        acted = nominal.acted_along(states[:-1], inputs)
+            return Transitions.empty(states.shape[1], rollout.inputs.shape[1]), np.empty(0, np.int64)
+        before, sent = rollout.with_history()
+        own = slice(len(sent) - rollout.frames, None)
+        residuals = states[1:] - nominal.along(before[:-1], sent)[own]  # Eq. 6
+        acted = nominal.acted_along(before[:-1], sent)[own]
         weights = line_weights(window)
         columns = (states[:-1], acted, states[1:], residuals)
         x, u, x_next, residuals = (
