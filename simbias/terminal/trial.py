@@ -118,6 +118,7 @@ class TrialConsole(Observer):
         self._iterations: list[Iteration] = []
         self._model: Model | None = None
         self._said: set[str] = set()  # kinds of remarks
+        self._said_of_policy: set[str] = set()  # of the last one
         self._width = 18 * (study.method.max_experiments // study.method.max_iterations)
 
     def __enter__(self) -> TrialConsole:
@@ -143,23 +144,28 @@ class TrialConsole(Observer):
 
     def designed(self, theta: Array, model: Model | None = None, search: Search | None = None) -> None:
         """Say what is odd about a policy, before hardware is spent on it."""
+        self._said_of_policy.clear()
         self._remark(diagnostics.of_policy(theta, search, self._iterations))
         self._remark(diagnostics.of_prediction(theta, model, self._study), again=True)
         self._model = model
 
     def _remark(self, remarks: Iterable[Remark], again: bool = False) -> None:
-        """Lines between those of the iterations, with its number; one of each kind, or others in brief."""
+        """Lines between those of the iterations, with its number; one of each kind, or others in brief.
+
+        None of a policy is said twice, as of its second start.
+        """
         number = f"{len(self._iterations):>3}"
         for remark in remarks:
             if remark.kind not in self._said:
                 say(self._console, f"{number}  {brief(remark.words)}", "yellow")
-            elif again:
+            elif again and remark.kind not in self._said_of_policy:
                 say(self._console, f"{number}  again: {remark.kind}", "yellow")
             self._said.add(remark.kind)
+            self._said_of_policy.add(remark.kind)
 
     def experimenting(self, theta: Array, start: Array) -> None:
         """Tell that a hardware experiment is under way; the screen is the hardware's meanwhile."""
-        self._remark(diagnostics.of_safety(theta, start, self._model, self._study))
+        self._remark(diagnostics.of_safety(theta, start, self._model, self._study), again=True)
         words = f"hardware experiment {self._experiments + 1} under way"
         self._progress.update(self._bar, description=words, completed=0, best="")
 

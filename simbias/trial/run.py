@@ -15,7 +15,7 @@ from simbias.core import Controller, Waiting, platform
 from simbias.core.digest import short_digest
 from simbias.core.error_origin import has_own_code, told
 from simbias.core.errors import ConfigError
-from simbias.core.messages import with_trace, with_type, words
+from simbias.core.messages import counted, with_trace, with_type, words
 from simbias.core.records import Iteration, Rollout
 from simbias.lab.requests.request import ExperimentRequest
 from simbias.lab.safety import SafetyLimitedPolicy
@@ -189,7 +189,12 @@ class _Run(Observer):
         if last is not None and last.succeeded:
             return Outcome.SUCCEEDED, ""
         why = "; ".join(diagnostics.of_experiments(last.experiments if last else (), self._study))
-        return Outcome.NOT_SUCCEEDED, f"Of the last policy, {why}." if why else ""
+        told = [f"Of the last policy, {why}."] if why else []
+        if made := self._unfinished:
+            passed = f"{sum(map(self._study.passes, made))} of {counted(len(made), 'experiment')}"
+            policy = "A further policy" if last else "The only policy"
+            told.append(f"{policy} had passed {passed} when the budget was spent.")
+        return Outcome.NOT_SUCCEEDED, " ".join(told)
 
     def experimented(self, rollout: Rollout) -> None:
         """Note an experiment."""

@@ -1,5 +1,6 @@
 """Safety at the boundary: limits abort an experiment, what is predicted is shown, and a person is asked."""
 
+import io
 import re
 from dataclasses import replace
 from itertools import product
@@ -12,6 +13,7 @@ from conftest import OWN_CONF, POINT_MASS
 from labs import THETA
 from point_mass import InTheWind
 from records import assert_equal
+from rich.console import Console
 
 import simbias
 from simbias.__main__ import main
@@ -22,6 +24,7 @@ from simbias.core.records import Array, Rollout
 from simbias.lab.checked_hardware import ExperimentConditions
 from simbias.lab.safety import Safety, SafetyLimitedPolicy, UnsafeError
 from simbias.terminal.preview import describe, first_prediction
+from simbias.terminal.trial import TrialConsole
 from simbias.trial import prediction
 from simbias.trial.diagnostics import of_safety
 from simbias.trial.folder import EXPERIMENT, OUTCOME, TrialFolder
@@ -266,6 +269,12 @@ def test_a_policy_beyond_safety_limits_in_simulation_is_told_and_no_success(poin
     (remark,) = of_safety(THETA, START, model := study.first_model(), study)
     assert not [*of_safety(THETA, -START, model, study)]  # from another start it is within
     assert re.search(r"\|velocity\| of 0\.\d+ m/s \(limit 0\.1\), a change of force by", remark.words)
+    console = TrialConsole(study, Console(file=(file := io.StringIO()), width=200))
+    for _ in range(2):
+        console.designed(THETA, model)
+        for start in (START, -START, START):  # once of each policy, though it fails from two starts
+            console.experimenting(THETA, start)
+    assert file.getvalue().count("goes beyond hardware.safety in simulation") == 2
     prediction = predict(study, THETA, START)
     failing = [
         replace(each, failed_at=each.frames, failure="distance")

@@ -99,6 +99,8 @@ def test_no_experiment_begins_once_it_is_spent(hasty: Study, tmp_path: Path) -> 
         assert record.summary.max_experiments == (budget.experiments or 10)
         assert record.summary.experiments_until_success == (budget.experiments or 10)
         assert len(record.iterations) == made // 2
+        unfinished = " policy had passed 0 of 1 experiment when the budget was spent."
+        assert record.summary.reason.endswith(unfinished) == (made % 2 == 1)
         assert len(list(folder.glob("*_search.json"))) == (made + 1) // 2  # none whose policy cannot be tried
         again = read_trial(study, folder)
         assert (again.summary, len(again.unfinished)) == (record.summary, made % 2)
