@@ -30,18 +30,15 @@ from simbias.core.kernel import Kernel, SlowWarning
 from simbias.core.model import Bias, FittedBias, Identification, Model, Nominal, Samples
 from simbias.core.objective import Objective
 from simbias.core.policy import Controller, Law, Policy
+from simbias.core.quantities import Quantity, rate_pairs, rates_and_positions, wrapped
 from simbias.core.robot import (
     NOT_A_NUMBER,
     Criterion,
     Hardware,
     HardwareError,
     Push,
-    Quantity,
     Task,
     Waiting,
     failure_name,
-    rate_pairs,
-    rates_and_positions,
-    wrapped,
 )
 from simbias.core.search import Cost, Evaluation, GoalWeights, Optimizer, Simulator

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from simbias.core import Quantity
+from simbias.core.quantities import by_quantity
 from simbias.core.ranges import NonNegative
 from simbias.core.records import Array
-from simbias.core.robot import by_quantity
 
 Weights = list[NonNegative] | dict[str, NonNegative]  # one for each quantity, or by name or kind
 

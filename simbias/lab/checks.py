@@ -10,8 +10,8 @@ import numpy as np
 
 from simbias.core import HardwareError, Task, wrapped
 from simbias.core.messages import LONGEST_VALUE, brief, quote
+from simbias.core.quantities import unwound
 from simbias.core.records import Array, Rollout
-from simbias.core.robot import unwound
 from simbias.lab.safety import Bounds, hold
 
 START_DEVIATIONS = 20.0  # of the task's starts, that an experiment may begin away from the requested one

@@ -10,8 +10,8 @@ import numpy as np
 
 from simbias.core import HardwareError, Task
 from simbias.core.messages import quote, words
+from simbias.core.quantities import TURNS, Quantity
 from simbias.core.records import Array, Indices, Rollout
-from simbias.core.robot import TURNS, Quantity
 from simbias.lab.rates import check_rates, jumps, late_rates, rates_of
 from simbias.lab.signals import Signal, Signals, signals, split_name
 from simbias.lab.units import factor

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from simbias.core import Controller, HardwareError, Law, Policy, Quantity, Task
+from simbias.core.quantities import by_quantity
 from simbias.core.ranges import Positive
 from simbias.core.records import Array, Indices, Rollout
-from simbias.core.robot import NOT_A_NUMBER, by_quantity
+from simbias.core.robot import NOT_A_NUMBER
 
 ROUNDING = 1e-12  # relative, of a limit that a controller holds itself
 RECORDED_ROUNDING = 1e-6  # relative, of a limit in what was recorded with a few digits

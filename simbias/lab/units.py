@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from math import pi
 
-from simbias.core.robot import TURNS
+from simbias.core.quantities import TURNS
 
 # Of each unit: what it measures, and how many of the first unit of that it is.
 _ANGLE = {unit: 2 * pi / turn for unit, turn in TURNS.items()}

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from simbias.core import Task
+from simbias.core.quantities import wrapped
 from simbias.core.records import Array, Rollout
-from simbias.core.robot import wrapped
 
 ENDS = (0.0025, 0.9975)  # quantiles that count as the ends of a range: single frames do not
 MARGIN = 0.1  # of a range's width, at each end

@@ -7,8 +7,8 @@ import warnings
 import numpy as np
 
 from simbias.core import SlowWarning, Task, wrapped
+from simbias.core.quantities import unwound
 from simbias.core.records import Array
-from simbias.core.robot import unwound
 
 
 def goal_along(task: Task) -> Array:

@@ -9,9 +9,9 @@ import numpy as np
 from pydantic import AfterValidator
 
 from simbias.core import Push, Task
+from simbias.core.quantities import by_quantity
 from simbias.core.ranges import Coordinate, Variance
 from simbias.core.records import Array, Disturbance
-from simbias.core.robot import by_quantity
 
 
 def without_zeros(values: dict[str, float]) -> dict[str, float]:

@@ -19,8 +19,9 @@ import simbias
 from simbias.config.components import construct
 from simbias.config.identity import identity_fields
 from simbias.core import Model, Quantity, SlowWarning, Task, wrapped
+from simbias.core.quantities import unwound
 from simbias.core.records import Rollout
-from simbias.core.robot import check_quantities, unwound
+from simbias.core.robot import check_quantities
 from simbias.lab.checks import check_rollout
 from simbias.simulation.compiled import CompiledSimulator
 from simbias.simulation.compiler import Expressions

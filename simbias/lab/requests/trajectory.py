@@ -12,8 +12,8 @@ import numpy as np
 
 from simbias.core import HardwareError, Quantity, Task, wrapped
 from simbias.core.messages import quote
+from simbias.core.quantities import unwound
 from simbias.core.records import Array, Rollout
-from simbias.core.robot import unwound
 from simbias.core.table import POINT, Table, read_table
 from simbias.lab.checks import START_DEVIATIONS, start_tolerance
 from simbias.lab.rates import check_rates, rates_of

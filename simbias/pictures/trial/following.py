@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from simbias.core import Task
+from simbias.core.quantities import wrapped
 from simbias.core.records import Array, Iteration, Rollout
-from simbias.core.robot import wrapped
 from simbias.pictures.elements.drawing import NoPictureError
 from simbias.pictures.elements.layout import headline, legend, panels
 from simbias.pictures.elements.style import HARDWARE, SIMULATION, label, plain
