@@ -17,7 +17,7 @@ from simbias.core.objective import Mapped
 from simbias.core.records import Array, Iteration, Learning, Optimum, Rollout, Search, Transitions
 from simbias.policy.trajectory import Trajectory
 from simbias.search import lqr
-from simbias.search.optimizer.ilqr import trajectory_candidates
+from simbias.search.optimizer.trajectory_candidates import trajectory_candidates
 from simbias.trial.observer import Observer
 from simbias.trial.study import Study
 

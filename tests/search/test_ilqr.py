@@ -21,8 +21,9 @@ from simbias.policy.trajectory import Trajectory
 from simbias.search.goal import goal_along
 from simbias.search.optimizer import ilqr
 from simbias.search.optimizer.following import STIFFER, Following
-from simbias.search.optimizer.ilqr import Shooting, _unfailing, trajectory_candidates
+from simbias.search.optimizer.ilqr import Shooting, _unfailing
 from simbias.search.optimizer.riccati import regulator, solved
+from simbias.search.optimizer.trajectory_candidates import trajectory_candidates
 from simbias.simulation.closed_loop import simulator
 from simbias.simulation.linearization import linearization
 from simbias.trial.methods.model_based import ModelBased

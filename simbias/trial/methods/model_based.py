@@ -14,7 +14,7 @@ from simbias.core.errors import ConfigError
 from simbias.core.files import ConfigFile
 from simbias.core.ranges import Count, CountOrZero, NonNegative, Positive, Share
 from simbias.core.records import Array, Iteration, Learning, Rollout, Search
-from simbias.search.optimizer.ilqr import follower
+from simbias.search.optimizer.trajectory_candidates import follower
 from simbias.trial.claim import Confidence, check_passes, passes_for
 from simbias.trial.disk import read_json
 from simbias.trial.method import Method
