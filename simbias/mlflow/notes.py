@@ -9,7 +9,7 @@ from typing import Any
 from simbias.core import markdown
 from simbias.core.messages import counted
 from simbias.trial.folder import Withdrawal
-from simbias.trial.summary import COLUMNS, PARAMETERS, Outcome, TrialSummary, cells, parameters
+from simbias.trial.summary import COLUMNS, IDENTIFIED, PARAMETERS, Outcome, TrialSummary, cells, parameters
 
 NOTE_LENGTH = 8000  # characters that MLflow keeps of a note
 SHOWN_ROWS = 40  # which fit into it
@@ -43,7 +43,8 @@ def note(
     if len(rows) > SHOWN_ROWS:
         parts.append(f"The {len(rows) - SHOWN_ROWS} iterations before these are among the metrics.")
     if identified := parameters(rows):
-        parts += ["Identified, of the last policy's model:", markdown.table(PARAMETERS, identified).rstrip()]
+        parts.append("Identified, of the last policy's model:")
+        parts += [markdown.table(PARAMETERS, identified).rstrip(), IDENTIFIED]
     return "\n\n".join([*parts, ARTIFACTS])
 
 

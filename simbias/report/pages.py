@@ -27,7 +27,7 @@ from simbias.sweep.tables import left_out
 from simbias.trial.disk import write_whole
 from simbias.trial.folder import TRIAL, TrialFolder
 from simbias.trial.run import TrialRecord
-from simbias.trial.summary import COLUMNS, PARAMETERS, TrialSummary, cells, parameters
+from simbias.trial.summary import COLUMNS, IDENTIFIED, PARAMETERS, TrialSummary, cells, parameters
 
 FILE = "report.html"
 MOST_ROWS = 1000  # of a sweep's table on the page
@@ -78,6 +78,7 @@ def _trial_parts(record: TrialRecord, folder: TrialFolder) -> Iterator[str]:
     if identified := parameters(iterations):
         yield html.heading("Identified parameters of the last policy's model")
         yield html.table(PARAMETERS, identified)
+        yield html.paragraph(IDENTIFIED)
     for name, draw in FIGURES.items() if record.iterations else ():
         try:
             figure = draw(record.study, record.iterations)

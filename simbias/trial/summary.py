@@ -25,6 +25,7 @@ NUMBERS = (  # that every file has
     *("ended", "seconds", "hardware_seconds"),
 )
 PARAMETERS = ("parameter", "declared", "identified", "5%", "95%", "unit")  # of a table of them
+IDENTIFIED = "The quantiles assume that the model lacks nothing: what it lacks may move parameters further."
 
 
 class Outcome(StrEnum):
