@@ -13,6 +13,11 @@ from simbias.core.messages import with_type
 from simbias.trial.folder import TRIAL, TrialFolder
 from simbias.trial.run import TrialRecord, read_trial
 
+OTHER_CONFIG = (
+    "its config is that of trial {}, not of {}: the file has been changed, or the trial is of another "
+    "version of simbias. Put the file back, or read the trial with that version"
+)
+
 
 def read_folder(folder: Path, config_dir: Path | str | None = None, allow: Sequence[str] = ()) -> TrialRecord:
     """The study of a trial's folder and its full record; the trial may be under way.
@@ -30,7 +35,10 @@ def read_folder(folder: Path, config_dir: Path | str | None = None, allow: Seque
     try:
         config, choices = description["config"], description["choices"]
         composition = Composition(config, choices, own(config, folders, prefixes(folders, allow)))
-        return read_trial(build(composition), folder)
+        study = build(composition)
+        if study.hash != description["hash"]:
+            raise ConfigError(str(folder / TRIAL), OTHER_CONFIG.format(study.hash, description["hash"]))
+        return read_trial(study, folder)
     except ConfigError:
         raise
     except Exception as error:

@@ -246,7 +246,7 @@ def test_a_trial_that_was_killed_is_read_as_far_as_it_goes(
         assert len(record.unfinished) == experiments - 2 * len(record.iterations)
 
 
-def test_its_study_is_built_from_the_folder_too(own: Whole) -> None:
+def test_its_study_is_built_from_the_folder_too(own: Whole, tmp_path: Path) -> None:
     folder, record = own
     read, study = read_folder(folder, OWN_CONF), record.study
     assert_equal(read, record)
@@ -254,6 +254,10 @@ def test_its_study_is_built_from_the_folder_too(own: Whole) -> None:
     assert "tracking" not in TrialFolder(folder).description()["config"]  # may hold a password
     with pytest.raises(ConfigError, match=r"point_mass"):
         read_folder(folder)  # an untrusted module is not imported
+    file = Path(shutil.copytree(folder, tmp_path / "trial"), TRIAL)
+    file.write_text(file.read_text().replace('"horizon": 50', '"horizon": 52'))  # one bit
+    with one_line(rf"trial\.json: its config is that of trial \w+, not of {study.hash}: "):
+        read_folder(file.parent, OWN_CONF)
 
 
 @pytest.mark.slow
