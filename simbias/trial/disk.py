@@ -161,15 +161,21 @@ def append_line(path: Path, line: Mapping[str, Any]) -> None:
 
 
 def read_lines(path: Path) -> list[dict[str, Any]]:
-    """The lines of JSON of a file that may be missing; one that a kill cut off is left out."""
-    lines = require_file(path).read_text(encoding="utf-8").splitlines() if path.exists() else []
-    return [line for line in map(_parsed, lines) if line]
+    """The lines of JSON of a file that may be missing; one that a kill cut off is left out.
+
+    A ConfigError names a line that was damaged since.
+    """
+    text = require_file(path).read_text(encoding="utf-8", errors="replace") if path.exists() else ""
+    lines = (_parsed(line, number, path) for number, line in enumerate(text.splitlines(), 1))
+    return [line for line in lines if line]
 
 
-def _parsed(line: str) -> dict[str, Any]:
-    """A mapping from a line; empty if the line was cut off."""
+def _parsed(line: str, number: int, path: Path) -> dict[str, Any]:
+    """A mapping from a line; empty if the line was cut off, and so lacks its last bracket."""
     try:
         content = json.loads(line)
-    except ValueError:
+    except ValueError as error:
+        if line.endswith("}"):
+            raise ConfigError(str(path), f"line {number} is damaged ({words(error)}). Mend it") from error
         return {}
     return content if isinstance(content, dict) else {}

@@ -31,7 +31,7 @@ from pathlib import Path
 from typing import Any
 
 from simbias.core.errors import ConfigError
-from simbias.core.messages import with_type, words
+from simbias.core.messages import counted, quote, with_type, words
 from simbias.lab.requests.folder import mark_withdrawn
 from simbias.trial.disk import LOCK, PART, append_line, loaded, locked, read_json, read_lines
 from simbias.trial.files import load_rollout
@@ -41,6 +41,8 @@ TRIAL, ATTEMPTS, OUTCOME, EPISODES = "trial.json", "attempts.jsonl", "outcome.js
 SEARCH, EXPERIMENT, ITERATION = "search.json", "experiment.npz", "iteration.json"
 EPISODE = "test_episode.npz"
 STEP = re.compile(rf"[0-9]{{4,}}_({'|'.join(map(re.escape, (SEARCH, EXPERIMENT, ITERATION, EPISODE)))})")
+AFTER = re.compile(r"outcome_([0-9]+)\.json")  # an outcome after so many withdrawals
+KINDS = {"started", "stopped", "withdrawn"}  # of lines of attempts
 PICTURES = "pictures"
 REMEDY = "Run again, its trial makes it from the steps"  # what mends an outcome that cannot be read
 LOCK_SECONDS = 5.0  # that a worker in place of a killed one waits until the system has let go of its lock
@@ -119,8 +121,12 @@ class TrialFolder:
             raise ConfigError(str(file), f"{problem}. {REMEDY}") from error
 
     def attempts(self) -> list[dict[str, Any]]:
-        """The lines of attempts.jsonl; one that a kill cut off is left out."""
-        return read_lines(self.path / ATTEMPTS)
+        """The lines of attempts.jsonl; one that a kill cut off is left out, a damaged one a ConfigError."""
+        lines = read_lines(self.path / ATTEMPTS)
+        for line in lines:
+            if not line.keys() & KINDS:
+                raise ConfigError(str(self.path / ATTEMPTS), f"has a line of {quote([*line])}. Mend it")
+        return lines
 
     @property
     def began(self) -> float:
@@ -139,12 +145,22 @@ class TrialFolder:
         return max(stops, default=0.0)  # each has that of those before it
 
     def withdrawals(self) -> list[Withdrawal]:
-        """The experiments that a person withdrew, in the order in which that was done."""
+        """The experiments that a person withdrew, in the order in which that was done.
+
+        A ConfigError says if one cannot be read, or is gone though the trial has ended after it.
+        """
+        file = self.path / ATTEMPTS
         lines = [each["withdrawn"] for each in self.attempts() if "withdrawn" in each]
         try:
-            return [Withdrawal(**{**each, "superseded": tuple(each["superseded"])}) for each in lines]
+            found = [Withdrawal(**{**each, "superseded": tuple(each["superseded"])}) for each in lines]
         except (KeyError, TypeError) as error:
-            raise ConfigError(str(self.path / ATTEMPTS), f"cannot be read ({with_type(error)})") from error
+            raise ConfigError(str(file), f"cannot be read ({with_type(error)})") from error
+        numbers = (AFTER.fullmatch(each.name) for each in self.path.glob("outcome_*"))
+        for outcome in filter(None, numbers):
+            if int(outcome[1]) > len(found):
+                told = counted(len(found), "withdrawal")
+                raise ConfigError(str(file), f"tells of {told}, but there is {outcome[0]}. Put it back")
+        return found
 
     def numbered(self, name: str) -> Path:
         """A file of this name, with the number of withdrawals in it if there are any."""

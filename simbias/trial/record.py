@@ -108,7 +108,7 @@ class FolderRecord(Record):
             tell_what_is_in_clear(self._study.composition.from_environment, path / TRIAL)
             write_json(path / TRIAL, description(self._study))
         here, before = platform.kind(), self.folder.platforms()
-        if before and here not in before and self.folder.steps():
+        if self.folder.steps() and before and here not in before:  # read before a line is added
             logging.getLogger(__name__).warning(MIXED, path.name, before[-1], here)
         append_line(
             path / ATTEMPTS, {"started": time.time(), "platform": here, "processor": platform.processor()}
@@ -265,6 +265,14 @@ class FolderRecord(Record):
                 remedy = "Delete it; its trial, run again, makes it from the steps"
                 raise ConfigError(str(self.folder.numbered(OUTCOME)), f"{problem}. {remedy}")
         return summary
+
+    def check_end(self) -> None:
+        """Raise a ConfigError if steps are left after the trial's end, but for episodes of another test."""
+        left = [step for step in self._steps if not step.name.endswith(EPISODE)]
+        ended = self.folder.summary() if left and self.folder.ended else None
+        former = len(ended.test_episodes) - self._episodes if ended else 0  # were called experiments at first
+        if len(left) > max(0, former):
+            raise changed(left[0])
 
     def _replayed(self, *kinds: str) -> Path | None:
         """The next step, if there is one.

@@ -181,6 +181,8 @@ class _Run(Observer):
             if self._kept is not None:
                 self._kept.testing = True
             self._policy_test = run_policy_test(designed, theta, study.policy_test, trying)
+        if self._kept is not None:
+            self._kept.check_end()
 
     @property
     def ended(self) -> tuple[Outcome, str]:

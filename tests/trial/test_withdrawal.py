@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import re
 import shutil
 import signal
 from dataclasses import replace
@@ -10,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import OWN_CONF, POINT_MASS
+from errors import one_line
 from hardware import counted
 from records import assert_equal, timeless
 
@@ -154,6 +156,32 @@ def test_killed_while_it_is_withdrawn_it_is_or_it_is_not(
     assert len(hardware.drawn) == 6
     withdraw(folder / LOOSE)
     assert len(run_trial(study, folder).withdrawn) == 1
+
+
+@pytest.mark.slow
+def test_a_withdrawal_that_is_damaged_or_gone_is_named(ended: Ended) -> None:
+    """Once the trial has gone on, also one that looks as if a kill had cut it off."""
+    study, _, folder = ended
+    withdraw(folder / LOOSE)
+    run_trial(study, folder)
+    file, right = folder / ATTEMPTS, (folder / ATTEMPTS).read_bytes()
+    damages = {
+        right.replace(b'{"withdrawn"', b'["withdrawn"'): "line 2 is damaged",
+        right.replace(b"withdrawn", b"withdrbwn"): r"has a line of \['withdrbwn'\]",
+        right.replace(b"[", b"\xff"): "line 2 is damaged",
+        re.sub(rb"\], .*", b"", right): r"tells of 0 withdrawals, but there is outcome_1\.json",
+        b"": r"tells of 0 withdrawals, but there is outcome_1\.json",
+    }
+    for damaged, words in damages.items():
+        file.write_bytes(damaged)
+        for read in (read_trial, run_trial):
+            with one_line(rf"attempts\.jsonl: {words}"):
+                read(study, folder)
+        assert file.read_bytes() == damaged
+    (folder / "outcome_1.json").unlink()
+    for read in (read_trial, run_trial):  # by the steps after it alone
+        with one_line(r"0012_experiment\.npz: does not fit the trial"):
+            read(study, folder)
 
 
 def test_what_is_no_experiment_that_counts_is_one_line(
