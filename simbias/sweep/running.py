@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from pandas import DataFrame
 
@@ -20,7 +21,7 @@ from simbias.sweep.grid import Sweep, Trial, expanded
 from simbias.sweep.making import SweepObserver, make_figures
 from simbias.sweep.state import SweepState, finished
 from simbias.sweep.tracking import Tracking
-from simbias.sweep.worker import Result, lost, run_plan
+from simbias.sweep.worker import PlannedTrial, Result, lost, run_plan
 from simbias.testing.rehearsal import rehearse
 from simbias.trial.disk import LOCK, LOOK_SECONDS, locked
 from simbias.trial.folder import TrialFolder
@@ -155,13 +156,26 @@ def _tried(
     trials: Sequence[Trial], trials_engine: Engine, state: SweepState
 ) -> Iterator[tuple[Trial, Result]]:
     """Trials with the results of running them, as they end."""
-    plans = [state.plan(trial, trials_engine.shares_disk) for trial in trials]
+    plans = _Plans(trials, partial(state.plan, shares_disk=trials_engine.shares_disk))
     cells = {trial.cell.composition.group_hash: trial.cell.composition for trial in trials}
     code = partial(packed, list(cells.values()))
     with closing(trials_engine.run(run_plan, plans, code)) as ended:
         for index, result in ended:
             result = lost(str(result)) if isinstance(result, WorkerLostError) else result
             yield trials[index], state.taken_in(trials[index], result)
+
+
+class _Plans(Sequence[PlannedTrial]):
+    """Trials as workers need them, each as its folder is when the engine takes it."""
+
+    def __init__(self, trials: Sequence[Trial], plan: Callable[[Trial], PlannedTrial]) -> None:
+        self._trials, self._plan = trials, plan
+
+    def __len__(self) -> int:
+        return len(self._trials)
+
+    def __getitem__(self, index: Any) -> Any:
+        return self._plan(self._trials[index])
 
 
 def changed_trials(sweep: Sweep, store: Tracking) -> Iterator[str]:

@@ -23,7 +23,7 @@ from simbias.sweep import results, tables
 from simbias.sweep.figure import SweptTrials
 from simbias.sweep.grid import Sweep, Trial
 from simbias.sweep.tracking import Export, Tracking
-from simbias.sweep.worker import GONE, PlannedTrial, Result, code, pack, unpack
+from simbias.sweep.worker import GONE, PlannedTrial, Result, code, goes_on, pack, unpack
 from simbias.trial.folder import TakenError, TrialFolder
 from simbias.trial.origin import provenance, tell_what_is_in_clear
 from simbias.trial.run import TrialRecord, read_trial
@@ -33,6 +33,9 @@ DAMAGED = "simbias: %s; the trial counts as unfinished"
 MIXED = "simbias: trials of this sweep are from %d platforms, so their last bits may differ: %s"
 PART = "simbias: asked for %d of the %d trials of %s: its tables, figures and page stay those of all"
 LOSES = "simbias: %s loses %d of its %d trials, which are not asked for any more; their own folders stay"
+MEANWHILE = (
+    "simbias: trial %s was run, or an experiment withdrawn, here meanwhile: what its worker made is dropped"
+)
 # First words on a sweep.
 RUNNING, DONE, INTERRUPTED = "**Running**", "**Done**", "**Interrupted**"
 WAITS = "**Waiting** for hardware experiments or another process"
@@ -127,12 +130,15 @@ class SweepState:
         if folder is None:
             return PlannedTrial(composition, code=digests)
         marker = "" if shares_disk else str(self._marker)
-        kept = pack(folder) if marker and TrialFolder(folder).steps() else b""
+        kept = pack(folder) if marker else b""
         pictures = _pictures(trial.repetition, self._store)
         return PlannedTrial(composition, str(folder.absolute()), marker, kept, pictures, digests)
 
     def taken_in(self, trial: Trial, result: Result) -> Result:
-        """A result, its folder laid out if a worker sent it; of a trial that runs here meanwhile, none."""
+        """A result, its folder laid out if a worker sent it; of a trial that was run here meanwhile, none.
+
+        Nor is it of one of which an experiment was withdrawn.
+        """
         folder = self._store.trial_folder(trial.hash)
         if folder is not None and not self._marker.exists():
             gone = self.folder.path if folder.parent.exists() else folder.parent
@@ -140,6 +146,9 @@ class SweepState:
         if folder is not None and result.packed:
             try:
                 with deferred(), TrialFolder(folder).held():
+                    if not goes_on(result.packed, folder):
+                        logging.getLogger(__name__).warning(MEANWHILE, trial.hash)
+                        return Result(TrialSummary(Outcome.RUNNING, reason=MEANWHILE % trial.hash))
                     unpack(result.packed, folder)
             except TakenError as error:
                 return Result(TrialSummary(Outcome.RUNNING, reason=str(error)))

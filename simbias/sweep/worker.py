@@ -16,11 +16,11 @@ from simbias.config import Composition
 from simbias.config.build import build
 from simbias.core import SlowWarning
 from simbias.core.errors import ConfigError
-from simbias.core.messages import quote, with_type
+from simbias.core.messages import quote, with_type, words
 from simbias.core.platform import package_digest
 from simbias.engine.workplace import temporary_folder
 from simbias.trial.disk import write_whole
-from simbias.trial.folder import OUTCOME, TRIAL, TakenError, TrialFolder
+from simbias.trial.folder import ATTEMPTS, OUTCOME, TRIAL, TakenError, TrialFolder
 from simbias.trial.run import TrialRecord, run_trial
 from simbias.trial.summary import Outcome, TrialSummary
 
@@ -107,10 +107,20 @@ def lost(reason: str) -> Result:
 def pack(folder: Path) -> bytes:
     """A trial's folder as a zip file, trial.json first and its outcome last, as they were written."""
     stream, files, last = io.BytesIO(), TrialFolder(folder).files(), Path(OUTCOME).stem
-    with zipfile.ZipFile(stream, "w") as archive:
-        for file in sorted(files, key=lambda file: (file.name.startswith(last), file.name != TRIAL)):
-            archive.write(file, file.relative_to(folder).as_posix())
+    try:
+        with zipfile.ZipFile(stream, "w") as archive:
+            for file in sorted(files, key=lambda file: (file.name.startswith(last), file.name != TRIAL)):
+                archive.write(file, file.relative_to(folder).as_posix())
+    except OSError as error:
+        raise ConfigError(str(folder), f"cannot be read ({words(error)})") from error
     return stream.getvalue()
+
+
+def goes_on(packed: bytes, folder: Path) -> bool:
+    """Whether what a worker sent follows what the folder holds: each run or withdrawal is a line more."""
+    file = folder / ATTEMPTS
+    with zipfile.ZipFile(io.BytesIO(packed)) as archive:
+        return archive.read(ATTEMPTS).startswith(file.read_bytes() if file.exists() else b"")
 
 
 def unpack(packed: bytes, folder: Path) -> None:

@@ -31,7 +31,7 @@ from simbias.sweep.grid import Trial
 from simbias.sweep.worker import PlannedTrial, Result, run_plan
 from simbias.terminal.sweep import SweepConsole
 from simbias.trial.disk import locked
-from simbias.trial.folder import TrialFolder
+from simbias.trial.folder import TrialFolder, withdraw
 
 pytestmark = pytest.mark.slow
 
@@ -206,3 +206,32 @@ def test_a_folder_from_elsewhere_is_laid_out_once_nobody_runs_its_trial_here(
     assert main([*COMMAND, *QUICK, ONE_PROCESS, "sweep.trials=1", "tracking.pictures=false"]) == 0
     assert steps == [[], []]
     assert len(finished(folder)) == 1
+
+
+def test_what_is_done_here_meanwhile_stays(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A trial travels as it is when a worker takes it; changed here since, it is tried again at the end."""
+    write_sweep(folder, "mine", "sweep: {trials: 2, figures: {}, axes: {bias: [none]}}")
+    command = [*COMMAND, *QUICK, ONE_PROCESS, "tracking.pictures=false", "cost.max_cost=1e-3"]
+    assert main(command) == 0
+    trials, taken = finished(folder), []
+    for trial in trials:
+        (folder / "trials" / trial / "outcome.json").unlink()
+
+    def elsewhere(plan: PlannedTrial) -> Result:
+        result = run_plan(plan._replace(marker="not here"))
+        if not taken:
+            for trial in trials:
+                withdraw(folder / "trials" / trial / "0001_experiment.npz")
+        taken.append(Path(str(plan.folder)).name)
+        return result
+
+    monkeypatch.setattr("simbias.sweep.running.run_plan", elsewhere)
+    monkeypatch.setattr(Sequential, "shares_disk", False)
+    assert main(command) == 0
+    assert taken == [taken[0], taken[1], taken[0]]
+    assert f"trial {taken[0]} was run, or an experiment withdrawn, here meanwhile" in caplog.text
+    for trial in trials:
+        assert len(TrialFolder(folder / "trials" / trial).withdrawals()) == 1
+        assert (folder / "trials" / trial / "outcome_1.json").exists()
