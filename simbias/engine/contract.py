@@ -18,6 +18,17 @@ class WorkerLostError(RuntimeError):
     """A worker died with its task, again and again."""
 
 
+class WorkplaceError(WorkerLostError):
+    """A task cannot begin at its worker; at another one it may."""
+
+    def __init__(self, problem: str, worker: str = "") -> None:
+        super().__init__(problem, worker)
+        self.problem, self.worker = problem, worker
+
+    def __str__(self) -> str:
+        return f"cannot begin at {self.worker or 'its worker'}: {self.problem}"
+
+
 class EngineLostError(ConfigError):
     """The scheduler of the tasks is gone before they have ended; the same command resumes."""
 
@@ -36,8 +47,8 @@ class Engine(ABC):
     ) -> Results[R]:
         """Yield (index of a task, function(task)) as tasks end, in any order, every task once.
 
-        `function` is one of a module's and raises nothing. A task whose worker died runs again; one whose
-        workers die each time yields a WorkerLostError. Tasks can be pickled. `code` packs the user's own code
-        and files, for workers that share no disk; empty if there is none. Closing the generator stops the
-        workers.
+        `function` is one of a module's and raises nothing but, where no disk is shared, a WorkplaceError. A
+        task whose worker died, or at which it cannot begin, runs again; one that has no luck each time yields
+        the WorkerLostError. Tasks can be pickled. `code` packs the user's own code and files, for workers
+        that share no disk; empty if there is none. Closing the generator stops the workers.
         """

@@ -15,7 +15,16 @@ from typing import TYPE_CHECKING, Any
 from simbias.core.errors import ConfigError
 from simbias.core.extras import library, silent
 from simbias.core.ranges import Workers
-from simbias.engine.contract import MOST_LOSSES, Engine, EngineLostError, R, Results, T, WorkerLostError
+from simbias.engine.contract import (
+    MOST_LOSSES,
+    Engine,
+    EngineLostError,
+    R,
+    Results,
+    T,
+    WorkerLostError,
+    WorkplaceError,
+)
 from simbias.engine.workplace import workplace
 
 if TYPE_CHECKING:
@@ -25,6 +34,7 @@ CONNECT_SECONDS = 5.0
 JOIN_SECONDS = 5.0  # without a worker, after which a line says that one is waited for
 POLL_SECONDS = 0.1  # between looks for what has ended, as Dask's own
 LOGGER = "distributed.client"  # which logs, with a traceback, that the scheduler is gone
+REFUSED = "simbias: a trial %s. Other workers are preferred from now on"
 UNREADABLE = "deserialization"  # in Dask's words of a task that a worker cannot unpickle
 
 
@@ -57,13 +67,14 @@ class Dask(Engine):
 
         Two tasks for each worker are with Dask at a time: one that runs, and one that waits to. Dask blames a
         dead worker on all tasks that waited there. So a task that lost its workers runs alone at the end,
-        before it is to blame.
+        before it is to blame. Where one could not begin, none is sent any more while there are other workers.
         """
         if not tasks:
             return
         from distributed import KilledWorker, as_completed
 
-        losses: Counter[int] = Counter()
+        losses, refusals = Counter[int](), Counter[int]()
+        refused: set[str] = set()  # workers at which a task could not begin
         waiting, suspects = deque(range(len(tasks))), deque[int]()
         futures: dict[Future, int] = {}
         with silent(LOGGER), self._client(code) as client, self._scheduler_in_reach():
@@ -72,10 +83,15 @@ class Dask(Engine):
             while waiting or suspects or futures:
                 if not waiting and not futures:
                     waiting.append(suspects.popleft())
-                while waiting and len(futures) < 2 * _count_workers(client):
+                while waiting and len(futures) < 2 * max(1, len(workers := _workers(client))):
                     index = waiting.popleft()
-                    # a partial, as Dask looks for keys and calls in arguments
-                    future = client.submit(partial(function, tasks[index]), pure=False)
+                    others = [each for each in workers if each not in refused] if refused else []
+                    future = client.submit(
+                        partial(_at_worker, function, tasks[index]),  # as Dask looks into arguments for calls
+                        pure=False,
+                        workers=others or None,
+                        allow_other_workers=bool(others),  # once these are lost
+                    )
                     futures[future] = index
                     ended.add(future)
                 future = self._next(ended, client)
@@ -89,6 +105,15 @@ class Dask(Engine):
                         (waiting if losses[index] < MOST_LOSSES - 1 else suspects).append(index)
                         continue
                     yield index, WorkerLostError(f"its worker died {losses[index]} times")
+                except WorkplaceError as error:
+                    if error.worker not in refused:
+                        logging.getLogger(__name__).warning(REFUSED, error)
+                    refused.add(error.worker)
+                    refusals[index] += 1
+                    if refusals[index] < MOST_LOSSES:
+                        waiting.append(index)
+                    else:
+                        yield index, error
                 except RuntimeError as error:
                     if UNREADABLE not in str(error):
                         raise
@@ -174,14 +199,24 @@ def _check_workers(client: Client) -> None:
             raise ConfigError("engine.address", problem)
 
 
-def _count_workers(client: Client) -> int:
-    """The number of workers, one at least: where there are none yet, Dask waits for some."""
+def _workers(client: Client) -> list[str]:
+    """The workers' addresses; where there are none yet, Dask waits for some."""
     threads = client.nthreads()
     for worker, count in threads.items():
         if count > 1:  # trials set what their process has but once, as the threads of linear algebra
             problem = f"{worker} has {count} threads; start workers with --nthreads 1"
             raise ConfigError("engine.address", problem)
-    return max(1, len(threads))
+    return list(threads)
+
+
+def _at_worker(function: Callable[[T], R], task: T) -> R:
+    """The result of a task; if it cannot begin at this worker, the error names the worker."""
+    from distributed import get_worker
+
+    try:
+        return function(task)
+    except WorkplaceError as error:
+        raise WorkplaceError(error.problem, get_worker().address) from None
 
 
 def dask_setup(worker: object) -> None:

@@ -8,8 +8,11 @@ import warnings
 import zipfile
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
+from errno import ENOSPC
 from pathlib import Path
+from shutil import disk_usage
 from socket import gethostname
+from tempfile import gettempdir
 from typing import NamedTuple
 
 from simbias.config import Composition
@@ -18,6 +21,7 @@ from simbias.core import SlowWarning
 from simbias.core.errors import ConfigError
 from simbias.core.messages import quote, with_type, words
 from simbias.core.platform import package_digest
+from simbias.engine.contract import WorkplaceError
 from simbias.engine.workplace import temporary_folder
 from simbias.trial.disk import write_whole
 from simbias.trial.folder import ATTEMPTS, OUTCOME, TRIAL, TakenError, TrialFolder
@@ -25,6 +29,7 @@ from simbias.trial.run import TrialRecord, run_trial
 from simbias.trial.summary import Outcome, TrialSummary
 
 OTHER_CODE = "{} has other code there than where the sweep was started"
+ROOM = 10_000_000  # bytes that have to be free where a trial begins without a shared disk
 GONE = "the folder {} is gone: was it moved while the sweep ran? Move it back, and start the sweep again"
 
 
@@ -48,14 +53,20 @@ class Result(NamedTuple):
 
 
 def run_plan(plan: PlannedTrial) -> Result:
-    """Run or resume a trial; without a shared disk in a folder of its own, as only what is sent counts."""
+    """Run or resume a trial; without a shared disk in a folder of its own, as only what is sent counts.
+
+    A cluster's worker raises a WorkplaceError if no trial can begin there: code or room are missing.
+    """
     apart = bool(plan.marker) and not Path(plan.marker).exists()
     folder = None if plan.folder is None else Path(plan.folder)
+    begun = plan.code is None  # else the workplace may be another one than where the sweep was started
     with warnings.catch_warnings(), ExitStack() as stack:
         warnings.simplefilter("ignore", SlowWarning)  # a line for each fit of each trial is too many
         try:
             if folder is not None and apart:
                 folder = Path(stack.enter_context(temporary_folder()), folder.name)
+                if disk_usage(folder.parent).free < ROOM:
+                    raise OSError(ENOSPC, f"less than {ROOM // 10**6} MB are free", gettempdir())
                 if plan.kept:
                     unpack(plan.kept, folder)
             elif folder is not None and not folder.parent.exists():
@@ -65,7 +76,8 @@ def run_plan(plan: PlannedTrial) -> Result:
             if other := [
                 name for name, digest in (plan.code or {}).items() if theirs.get(name, digest) != digest
             ]:
-                return lost(OTHER_CODE.format(", ".join(other)) + _where(apart))
+                raise ConfigError("", OTHER_CODE.format(", ".join(other)))
+            begun = True
             record = run_trial(study, folder)
             if folder is not None and plan.pictures:
                 _illustrate(record, folder, plan.pictures)
@@ -75,7 +87,10 @@ def run_plan(plan: PlannedTrial) -> Result:
         except TakenError as error:
             return Result(TrialSummary(Outcome.RUNNING, reason=str(error)))
         except BaseException as error:
-            return lost(with_type(error) + _where(apart))
+            reason = with_type(error) + ("" if plan.code is None else _where(error))
+            if not begun:
+                raise WorkplaceError(reason) from error
+            return lost(reason)
     return Result(record.summary, "" if folder else record.traceback, packed)
 
 
@@ -89,9 +104,10 @@ def _illustrate(record: TrialRecord, folder: Path, names: Sequence[str]) -> None
         warnings.warn(f"pictures of trial {folder.name}: {with_type(error)}", RuntimeWarning, stacklevel=2)
 
 
-def _where(apart: bool) -> str:
-    """The machine and folder of a worker that shares no disk."""
-    return f" (on {gethostname()}, in {Path.cwd()}; its PYTHONPATH finds modules)" if apart else ""
+def _where(error: BaseException) -> str:
+    """The machine and folder of a cluster's worker, and where it finds modules."""
+    modules = "" if isinstance(error, OSError) else "; its PYTHONPATH finds modules"
+    return f" (on {gethostname()}, in {Path.cwd()}{modules})"
 
 
 def code(composition: Composition) -> Mapping[str, str]:

@@ -15,13 +15,13 @@ from typing import Any
 
 import psutil
 import pytest
-from engine_tasks import begin, work
+from engine_tasks import begin, begin_elsewhere, work
 from processes import runs, wait_for
 
 from simbias.config import ConfigError, compose
 from simbias.config.build import service
 from simbias.engine import dask as module
-from simbias.engine.contract import Engine, EngineLostError
+from simbias.engine.contract import Engine, EngineLostError, WorkplaceError
 from simbias.engine.dask import Dask
 
 pytestmark = pytest.mark.slow
@@ -171,6 +171,19 @@ def test_a_worker_is_waited_for_and_a_line_says_so(
         assert sorted(results) == [(1, os.getpid()), (2, os.getpid())]
     said = [each.getMessage() for each in caplog.records if each.name == module.__name__]
     assert said == [f"simbias: the scheduler at {address} has no worker; waiting for one"] * 2
+
+
+def test_a_worker_at_which_no_task_can_begin_swallows_none(caplog: pytest.LogCaptureFixture) -> None:
+    """It is named once; a task that can begin nowhere ends."""
+    inside = {"n_workers": 2, "threads_per_worker": 1, "processes": False, "protocol": "tcp"}
+    with distributed.LocalCluster(**inside, dashboard_address=":0") as cluster:
+        bad, good = (worker.address for worker in cluster.workers.values())
+        dask = Dask(address=cluster.scheduler_address)
+        assert dict(dask.run(begin_elsewhere, 20 * [[bad]])) == dict.fromkeys(range(20), good)
+        (said,) = [each.getMessage() for each in caplog.records if each.name == module.__name__]
+        assert said.startswith(f"simbias: a trial cannot begin at {bad}: no room")
+        ((_, error),) = dask.run(begin_elsewhere, [[bad, good]])
+    assert isinstance(error, WorkplaceError)
 
 
 def test_a_scheduler_that_ends_ends_the_sweep(

@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_info
 
+from simbias.engine.contract import WorkplaceError
+
 Task = tuple[int, float, str]  # a number, seconds, what becomes of its worker
 HANDED_OVER = 8_000_000  # numbers
 
@@ -60,3 +62,13 @@ def begin(task: tuple[str, float]) -> int:
     Path(file).touch()
     time.sleep(seconds)
     return os.getpid()
+
+
+def begin_elsewhere(refusing: list[str]) -> str:
+    """The worker that does it, if it is none of these."""
+    from distributed import get_worker
+
+    if (worker := get_worker().address) in refusing:
+        raise WorkplaceError("no room")
+    time.sleep(0.05)
+    return worker

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
+from socket import gethostname
 from zipfile import ZipFile
 
 import pytest
@@ -11,6 +12,7 @@ from sweeping import content
 
 from simbias.config import Composition, compose
 from simbias.config.build import build
+from simbias.engine.contract import WorkplaceError
 from simbias.sweep.worker import PlannedTrial, code, pack, run_plan, unpack
 from simbias.trial.folder import OUTCOME, TRIAL, TrialFolder
 from simbias.trial.run import Outcome
@@ -41,11 +43,22 @@ def whole(trial: Composition, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_worker_of_another_version_runs_no_trial(plan: PlannedTrial, trial: Composition) -> None:
+def test_a_worker_of_another_version_runs_no_trial(
+    plan: PlannedTrial, trial: Composition, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nor does one whose disk is full, or that lacks a module."""
     build(trial)
     same = code(trial)
-    result = run_plan(plan._replace(code={**same, "simbias": "another"}))
-    assert result.summary.reason.startswith("simbias has other code there")
+    other = plan._replace(code={**same, "simbias": "another"})
+    lacking = with_bias(plan, "simbias.learning.bias.gp.Nothing")._replace(code=same)
+    words = f"simbias has other code there .*on {gethostname()}, ", "bias._target_: cannot import"
+    for unfit, said in zip((other, lacking), words, strict=True):
+        with one_line(said, WorkplaceError):
+            run_plan(unfit)
+    with monkeypatch.context() as patch:
+        patch.setattr("simbias.sweep.worker.ROOM", 10**18)
+        with one_line(r"OSError: \[Errno 28\] less than .* free: .* \(on [^;]*$", WorkplaceError):
+            run_plan(plan._replace(code=same, marker="not here"))
     assert not Path(str(plan.folder)).exists()
     assert run_plan(plan._replace(code={**same, "loaded_later": ""})).summary.outcome.final
 
