@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,11 +36,16 @@ class SweepRun(RunExport):
 
     def __init__(self, runs: Runs, folder: SweepFolder) -> None:
         super().__init__(runs, folder.path)
-        self._folder, self._description = folder, folder.description()
+        self._folder = folder
         self._known: dict[str, list[Run]] = {}  # runs of earlier exports by their trials' hash
         self._exports: dict[str, TrialExport] = {}  # likewise, of this one
         self._done: set[str] = set()  # trials that nothing is added to
         self.shown: list[bool] = []  # whether each trial that there is could be shown, by the last export
+
+    @cached_property
+    def _description(self) -> dict[str, Any]:
+        """The content of sweep.json."""
+        return self._folder.description()
 
     def trial_ended(self, folder: Path) -> None:
         """Export a trial into a nested run."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import cached_property
+from contextlib import suppress
+from functools import cached_property, partial
 from pathlib import Path
 
 from simbias.core.errors import ConfigError
@@ -47,7 +48,7 @@ class Mlflow(Tracking):
         self._experiment = experiment
         self._trials = trials
         self.pictures = pictures
-        self.unshown = 0  # trials that `export_all` could not show
+        self.unshown = 0  # trials and sweeps that `export_all` could not show
 
     @cached_property
     def folder(self) -> Path:  # type: ignore[override]
@@ -82,8 +83,9 @@ class Mlflow(Tracking):
     def export_all(self) -> Iterator[str]:
         """Export all trials and sweeps of the folder; a line for each sweep, and one for the other trials.
 
-        A trial that cannot be read is reported, and counted in `unshown`. A ConfigError says if there are
-        none, or the store cannot be used; what was exported before it failed stays.
+        What cannot be read is reported, and counted in `unshown`. A
+        ConfigError says if there are none, or the store cannot be used; what was exported before it failed
+        stays.
         """
         folders = [file.parent for file in sorted(self.folder.glob(f"*/{TRIAL}"))]
         if not folders:
@@ -91,9 +93,13 @@ class Mlflow(Tracking):
         in_sweeps: set[str] = set()
         with reaching(self._uri):
             for sweep in sweep_folders(self.folder):
-                about = sweep.description()
                 run = SweepRun(self._runs, sweep)
-                run.write(final=True)
+                if not readable(partial(run.write, final=True)):
+                    self.unshown += 1
+                    with suppress(ConfigError):
+                        in_sweeps |= sweep.trials_recorded()
+                    continue
+                about = sweep.description()
                 in_sweeps |= about["trials"].keys()
                 self.unshown += run.shown.count(False)
                 yield f"sweep {about['name']}: {sum(run.shown)} of {counted(len(about['trials']), 'trial')}"

@@ -23,6 +23,7 @@ from simbias.trial.folder import TrialFolder
 
 SWEEP, STATE = "sweep.json", "state.json"
 CHANGED = "Trials have changed since; the sweep's command, run again, counts them anew."
+REMEDY = "Delete it; the command of the whole sweep makes it again from the trials"
 FIGURES, EXPERIMENTS = "figures", "experiments"
 
 
@@ -39,17 +40,22 @@ class SweepFolder:
 
     def description(self) -> dict[str, Any]:
         """The content of sweep.json."""
-        return read_json(self.path / SWEEP)
+        return self._read(SWEEP)
 
     def trials_recorded(self) -> set[str]:
-        """The hashes of the trials in sweep.json; none where it cannot be read."""
-        with suppress(ConfigError):
-            return {*self.description()["trials"]}
-        return set()
+        """The hashes of the trials in sweep.json; none before there is one."""
+        return {*self.description().get("trials", ())} if (self.path / SWEEP).exists() else set()
 
     def state(self) -> dict[str, Any]:
         """The content of state.json; empty before there is one."""
-        return read_json(self.path / STATE) if (self.path / STATE).exists() else {}
+        return self._read(STATE) if (self.path / STATE).exists() else {}
+
+    def _read(self, name: str) -> dict[str, Any]:
+        """The content of one of its files; a ConfigError says what mends it."""
+        try:
+            return read_json(self.path / name)
+        except ConfigError as error:
+            raise ConfigError(error.key, f"{error.problem}. {REMEDY}") from error
 
     def write_state(self, state: Mapping[str, Any], files: Mapping[str, str] = {}) -> None:
         """Write how far the sweep is, and files by name."""

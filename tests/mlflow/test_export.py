@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import re
 import shutil
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -19,6 +20,7 @@ from mlflow.entities import Run
 from mlflow_ui import free_port, is_up
 from processes import wait_for
 from records import assert_equal
+from texts import write
 
 import simbias
 from simbias.__main__ import main
@@ -284,10 +286,15 @@ def test_a_folder_that_cannot_be_read_is_named_and_stops_no_other(
     folder: Path, caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (at(folder, 0) / TRIAL).write_text("{")
+    for name in ("sweep", "state"):
+        write(folder / "trials" / "sweeps" / name, {"sweep.json": '{"trials": {}}', f"{name}.json": "{"})
     assert main(["export", f"tracking.uri={uri(folder)}"]) == 1
     assert capsys.readouterr().out == "4 trials in no sweep\n"
-    (warning,) = [each.getMessage() for each in caplog.records]
-    assert f"{study(0).hash}/{TRIAL}: cannot be read" in warning
+    said = "\n".join(each.getMessage() for each in caplog.records)
+    assert len(caplog.records) == 3
+    for name in ("sweep", "state"):
+        assert re.search(rf"sweeps/{name}/{name}\.json: cannot be read .*\. Delete it; ", said)
+    assert f"{study(0).hash}/{TRIAL}: cannot be read" in said
     assert [*pages(uri(folder))] == ["1", "2", "3", "4"]
     with pytest.raises(ConfigError, match=r"^tracking\.trials: no trials in "):
         export(uri(folder), folder / "none")

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from conftest import OWN_CONF, POINT_MASS
+from errors import one_line
 from mlflow import MlflowClient
 from rich.console import Console
 from sweeping import (
@@ -126,6 +127,11 @@ def test_a_part_of_a_sweep_leaves_its_record_and_others_say_what_it_loses(
         (record,) = caplog.records
         assert record.getMessage().startswith(f"simbias: {said}")
         caplog.clear()
+    record = (own / "sweep.json").read_text()
+    (own / "sweep.json").write_text(record[:50])
+    with one_line(r"sweep\.json: cannot be read .*\. Delete it; the command of the whole sweep makes it"):
+        simbias.run_sweep([*quick, "sweep.axes={hardware.inertia_error: [0.2]}"])
+    (own / "sweep.json").write_text(record)
     assert len(SweepFolder(own).trials_recorded()) == 2
     assert len(pd.read_csv(own / "trials.csv")) == 2
     for name in SweepFolder(own).trials_recorded():  # as if none had been made before it was killed
