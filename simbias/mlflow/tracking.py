@@ -16,7 +16,7 @@ from simbias.mlflow.trial import TrialExport
 from simbias.mlflow.ui import show
 from simbias.sweep.folder import SweepFolder, sweep_folders
 from simbias.sweep.tracking import Export, Tracking
-from simbias.trial.folder import TRIAL
+from simbias.trial.folder import TRIAL, TrialFolder
 
 
 class Mlflow(Tracking):
@@ -83,7 +83,7 @@ class Mlflow(Tracking):
     def export_all(self) -> Iterator[str]:
         """Export all trials and sweeps of the folder; a line for each sweep, and one for the other trials.
 
-        What cannot be read is reported, and counted in `unshown`. A
+        What cannot be read is reported, and counted in `unshown`, as is a copy beside its trial. A
         ConfigError says if there are none, or the store cannot be used; what was exported before it failed
         stays.
         """
@@ -104,6 +104,13 @@ class Mlflow(Tracking):
                 self.unshown += run.shown.count(False)
                 yield f"sweep {about['name']}: {sum(run.shown)} of {counted(len(about['trials']), 'trial')}"
             alone = [folder for folder in folders if folder.name not in in_sweeps]
-            exported = sum(readable(TrialExport(self._runs, folder).write) for folder in alone)
+            exported = sum(readable(partial(self._write_alone, folder)) for folder in alone)
             self.unshown += len(alone) - exported
             yield f"{counted(exported, 'trial')} in no sweep"
+
+    def _write_alone(self, folder: Path) -> None:
+        """Export a trial in no sweep; a ConfigError if it is a copy, whose run would count it twice."""
+        identity = str(TrialFolder(folder).description().get("hash"))
+        if identity != folder.name and (self.folder / identity / TRIAL).exists():
+            raise ConfigError(str(folder), f"is a copy of trial {identity}, which lies beside it")
+        TrialExport(self._runs, folder).write()

@@ -285,16 +285,19 @@ def test_a_trial_is_read_back_by_its_folder_and_by_its_run(folder: Path) -> None
 def test_a_folder_that_cannot_be_read_is_named_and_stops_no_other(
     folder: Path, caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """Nor does a copy, which would count twice."""
     (at(folder, 0) / TRIAL).write_text("{")
+    shutil.copytree(at(folder, 1), folder / "trials" / "copy")
     for name in ("sweep", "state"):
         write(folder / "trials" / "sweeps" / name, {"sweep.json": '{"trials": {}}', f"{name}.json": "{"})
     assert main(["export", f"tracking.uri={uri(folder)}"]) == 1
     assert capsys.readouterr().out == "4 trials in no sweep\n"
     said = "\n".join(each.getMessage() for each in caplog.records)
-    assert len(caplog.records) == 3
+    assert len(caplog.records) == 4
     for name in ("sweep", "state"):
         assert re.search(rf"sweeps/{name}/{name}\.json: cannot be read .*\. Delete it; ", said)
     assert f"{study(0).hash}/{TRIAL}: cannot be read" in said
+    assert f"copy: is a copy of trial {study(1).hash}, which lies beside it" in said
     assert [*pages(uri(folder))] == ["1", "2", "3", "4"]
     with pytest.raises(ConfigError, match=r"^tracking\.trials: no trials in "):
         export(uri(folder), folder / "none")
