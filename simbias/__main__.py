@@ -30,6 +30,9 @@ GARBAGE = 100_000  # new objects between two garbage collections; Python's 700 c
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run what the command line asks for; return the exit status."""
     gc.set_threshold(GARBAGE)
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed by who started us, as a daemon
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
     try:
         parsed = parse(arguments, __version__)
         with Interruption():

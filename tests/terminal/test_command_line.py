@@ -47,6 +47,12 @@ def test_success_exits_0_and_says_how_many_experiments(
     assert process.wait() == 1
 
 
+def test_a_trial_whose_output_is_closed_runs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("stdout", "stderr"):
+        monkeypatch.setattr(sys, name, None)
+    assert main([*QUICK, "tracking=folders", "tracking.pictures=false"]) == 0
+
+
 def test_many_trials_are_no_multirun_of_hydras(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         parse(["-m", "seed=1,2"], "0")
