@@ -71,11 +71,12 @@ def test_what_is_not_a_number_stays_none() -> None:
 
 def test_failure_is_the_first_criterion_that_is_beyond_its_limit() -> None:
     criteria = {
-        "low": {"value": "position", "below": -1.0},
-        "far": {"value": "position**2", "above": 4.0},
+        "low": {"value": "position  # to the left", "below": -1.0},
+        "far": {"value": "µ * position**2", "above": 4.0},
         "falls": {"value": "max(angle, -angle)", "above": 0.5},
     }
-    task = declared(failure=criteria)
+    constants = CARTPOLE["constants"] | {"µ": 1.0}  # of a keyboard; Python reads it as μ
+    task = declared(failure=criteria, constants=constants)
     x = np.array([[0.0, 0.4], [-1.5, 1.0], [3.0, 0.0], [0.0, -0.6], [-1.0, 0.5]])
     assert task.violated(np.hstack([x, np.zeros((5, 2))])).tolist() == [-1, 0, 1, 2, -1]
     assert task.failure(np.array([3.0, 1.0, 0.0, 0.0])) == "far"

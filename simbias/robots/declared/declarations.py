@@ -88,7 +88,7 @@ def measure_of(name: str, failure: Failure) -> str:
     """The expression whose value is above the criterion's limit where x fails."""
     if (failure.above is None) == (failure.below is None):
         raise ValueError(f"{name}: one of above and below is to be given")
-    return failure.value if failure.below is None else f"-({failure.value})"
+    return failure.value if failure.below is None else f"-({failure.value}\n)"  # it may end with a comment
 
 
 def push_of(name: str, pulses: Pulses, inputs: Sequence[str], time_step: float) -> Push:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import ast
 import math
 import operator
+import unicodedata
 from collections.abc import Callable, Mapping, Sequence
 from functools import reduce
 from typing import Annotated, Any
@@ -128,6 +129,8 @@ class _Parser:
 
     def _add(self, name: str, value: Value) -> None:
         """Let a name have a meaning."""
+        if name.isidentifier():
+            name = unicodedata.normalize("NFKC", name)  # as Python does in expressions: µ of a keyboard is μ
         if name in self._names:
             raise ValueError(f"{name}: two things have this name")
         self._names[name] = value
