@@ -8,6 +8,7 @@ import warnings
 import zipfile
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from errno import ENOSPC
 from pathlib import Path
 from shutil import disk_usage
@@ -81,7 +82,12 @@ def run_plan(plan: PlannedTrial) -> Result:
             record = run_trial(study, folder)
             if folder is not None and plan.pictures:
                 _illustrate(record, folder, plan.pictures)
-            packed = pack(folder) if folder is not None and apart else b""
+            packed, summary = b"", record.summary
+            if folder is not None and apart:
+                packed = pack(folder)
+                if summary.traceback_file:  # it lies where the folder is laid out
+                    there = Path(str(plan.folder), Path(summary.traceback_file).name)
+                    summary = replace(summary, traceback_file=str(there))
         except KeyboardInterrupt:
             raise
         except TakenError as error:
@@ -91,7 +97,7 @@ def run_plan(plan: PlannedTrial) -> Result:
             if not begun:
                 raise WorkplaceError(reason) from error
             return lost(reason)
-    return Result(record.summary, "" if folder else record.traceback, packed)
+    return Result(summary, "" if folder else record.traceback, packed)
 
 
 def _illustrate(record: TrialRecord, folder: Path, names: Sequence[str]) -> None:
@@ -136,7 +142,8 @@ def goes_on(packed: bytes, folder: Path) -> bool:
     """Whether what a worker sent follows what the folder holds: each run or withdrawal is a line more."""
     file = folder / ATTEMPTS
     with zipfile.ZipFile(io.BytesIO(packed)) as archive:
-        return archive.read(ATTEMPTS).startswith(file.read_bytes() if file.exists() else b"")
+        sent = archive.read(ATTEMPTS) if ATTEMPTS in archive.namelist() else b""
+    return sent.startswith(file.read_bytes() if file.exists() else b"")
 
 
 def unpack(packed: bytes, folder: Path) -> None:

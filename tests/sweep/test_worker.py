@@ -4,6 +4,7 @@ from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from socket import gethostname
+from unittest.mock import Mock
 from zipfile import ZipFile
 
 import pytest
@@ -64,7 +65,9 @@ def test_a_worker_of_another_version_runs_no_trial(
 
 
 @pytest.mark.slow
-def test_a_folder_travels_where_no_disk_is_shared(plan: PlannedTrial, whole: Path, tmp_path: Path) -> None:
+def test_a_folder_travels_where_no_disk_is_shared(
+    plan: PlannedTrial, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """There and back: the worker gets what is kept, makes the rest, and sends all; only that counts."""
     folder, there = tmp_path / "trial", tmp_path / "another machine"
     with ZipFile(BytesIO(pack(whole))) as packed:  # killed while it is laid out, it can be resumed
@@ -85,6 +88,12 @@ def test_a_folder_travels_where_no_disk_is_shared(plan: PlannedTrial, whole: Pat
     with one_line("a worker sent '../outside.txt', which would lie outside"):
         unpack(outside.getvalue(), folder)
     assert not (tmp_path / "outside.txt").exists()
+    with monkeypatch.context() as patch:
+        patch.setattr("simbias.search.optimizer.nlopt.Nlopt.search", Mock(side_effect=RuntimeError))
+        raised = run_plan(plan._replace(marker=str(tmp_path / "no such")))
+    unpack(raised.packed, tmp_path / "raised")
+    assert raised.summary.traceback_file == str(folder / "error_0000.txt")
+    assert (tmp_path / "raised" / "error_0000.txt").exists()
     marker = tmp_path / "marker"
     marker.touch()
     assert not run_plan(plan._replace(marker=str(marker))).packed
