@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, replace
-from functools import cached_property
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
@@ -24,7 +23,6 @@ from simbias.lab.checked_hardware import MakeExperiment, place_of
 from simbias.lab.checks import check_rollout
 from simbias.lab.requests.folder import POLICY
 from simbias.trial.disk import (
-    PART,
     append_line,
     loaded,
     read_json,
@@ -43,17 +41,16 @@ from simbias.trial.folder import (
     SEARCH,
     TRIAL,
     TrialFolder,
-    number,
 )
 from simbias.trial.origin import description, tell_what_is_in_clear
 from simbias.trial.replay import EndOfRecord, Record
+from simbias.trial.step_files import StepFiles, changed, missing
 from simbias.trial.study import Study
 from simbias.trial.summary import TrialSummary, iteration_summary
 
 ERROR, REFUSED = "error_", "refused_"
 ROUNDING = 1e-6  # by which a computed policy, as LQR's, may differ on another platform
 COMPARED = ("iteration", "total_experiments", "succeeded")  # of an iteration with its replay
-CHANGED = "was emptied, moved or changed while the trial ran. Put it back as it was; the same command resumes"
 SHARED = "simbias: %s was asked for by another trial, before this one began; it counts in both"
 MIXED = "simbias: trial %s mixes platforms, so its last bits are of neither: %s; now %s"
 
@@ -64,17 +61,11 @@ class FolderRecord(Record):
     def __init__(self, path: Path, study: Study) -> None:
         self.folder = TrialFolder(path)
         self._study = study
-        self._writes = False  # but in a folder that is opened, of a trial that has not ended
-        self._kept: list[Path] = []  # all steps: those that were there, and those made since
+        self._steps = StepFiles(self.folder)
         self._episodes = 0  # that were replayed
         self._replayed_seconds = 0.0  # that iterations took which were replayed
         self._searched = 0.0  # s that the searches took which were replayed since the last iteration
         self.testing = False  # the last policy, whose episodes are no experiments of the method's
-
-    @cached_property
-    def _steps(self) -> Iterator[Path]:
-        """The steps to be replayed, as they are once the folder is held."""
-        return iter(self.folder.steps())
 
     @contextmanager
     def opened(self) -> Iterator[None]:
@@ -87,8 +78,7 @@ class FolderRecord(Record):
             trial.json, or another process runs this trial.
         """
         with nullcontext() if self.folder.ended else self.folder.held():
-            self._writes = not self.folder.ended  # meanwhile, by another process
-            if self._writes:
+            if not self.folder.ended:  # meanwhile, by another process
                 self._begin()
             else:
                 self.folder.check_identity(self._study.hash)
@@ -97,12 +87,10 @@ class FolderRecord(Record):
     def _begin(self) -> None:
         """Write what is known before the first step, and that an attempt begins."""
         path = self.folder.path
-        for file in path.glob(f"*{PART}"):  # of a process that was killed while it wrote
-            file.unlink()
-        self._kept = self.folder.all_steps()
+        there = self._steps.begin()
         if (path / TRIAL).exists():
             self.folder.check_identity(self._study.hash)
-        elif self._kept or self.folder.numbered(OUTCOME).exists():
+        elif there or self.folder.numbered(OUTCOME).exists():
             raise missing(path / TRIAL)
         else:
             tell_what_is_in_clear(self._study.composition.from_environment, path / TRIAL)
@@ -125,7 +113,7 @@ class FolderRecord(Record):
         optimum = make()
         seconds = time.perf_counter() - begun
         fields = {**asdict(optimum), "parameters": optimum.parameters.tolist(), "seconds": seconds}
-        self._keep(SEARCH, json.dumps(fields).encode())
+        self._steps.append(SEARCH, json.dumps(fields).encode())
         return optimum
 
     def experiment(self, theta: Array, rng: np.random.Generator, make: MakeExperiment) -> Rollout:
@@ -140,13 +128,13 @@ class FolderRecord(Record):
             return rollout
         place = place_of(rng)
         superseded, withdrawn = self._former(kind, theta, place)
-        file = self._next(kind)
+        file = self._steps.next(kind)
         with room_for(file, largest(self._longest_task, theta, place)):
             rollout = superseded or make(another(rng, withdrawn))
             for asked in Path(rollout.source).parent.glob(POLICY) if rollout.source else ():
                 if asked.stat().st_mtime < self.folder.began:
                     logging.getLogger(__name__).warning(SHARED, rollout.source)
-            self._write(file, packed_rollout(rollout, place))
+            self._steps.write(file, packed_rollout(rollout, place))
         return rollout
 
     @property
@@ -192,7 +180,7 @@ class FolderRecord(Record):
             iteration = replace(iteration, seconds=told)
             summary = {**iteration_summary(self._study, iteration, earlier), "ended": time.time()}
             text = json.dumps(summary, indent=1, default=lambda value: value.tolist())  # NumPy's numbers
-            self._keep(ITERATION, text.encode())
+            self._steps.append(ITERATION, text.encode())
         else:
             kept, seconds, predicted = loaded(path, _load_iteration)
             if kept != (iteration.index, iteration.total_experiments, iteration.succeeded):
@@ -237,12 +225,12 @@ class FolderRecord(Record):
 
         Of a trial that had ended before only this CSV is written, if it differs and the test is the same.
         """
-        ended = None if self._writes else self.folder.summary()
+        ended = None if self._steps.writes else self.folder.summary()
         if episodes is not None and (ended is None or ended.test_words == summary.test_words):
             file, content = self.folder.numbered(EPISODES), episodes.encode()
             if not file.is_file() or file.read_bytes() != content:
                 write_whole(file, content)
-        if not self._writes:
+        if not self._steps.writes:
             return
         if summary.outcome.final:
             write_json(self.folder.numbered(OUTCOME), summary.as_json())
@@ -268,7 +256,7 @@ class FolderRecord(Record):
 
     def check_end(self) -> None:
         """Raise a ConfigError if steps are left after the trial's end, but for episodes of another test."""
-        left = [step for step in self._steps if not step.name.endswith(EPISODE)]
+        left = [step for step in self._steps.left if not step.name.endswith(EPISODE)]
         ended = self.folder.summary() if left and self.folder.ended else None
         former = len(ended.test_episodes) - self._episodes if ended else 0  # were called experiments at first
         if len(left) > max(0, former):
@@ -285,46 +273,19 @@ class FolderRecord(Record):
         EndOfRecord
             If there is none, and the trial is only read.
         """
-        step = next(self._steps, None)
-        if step is None and not self._writes:
+        step = next(self._steps.left, None)
+        if step is None and not self._steps.writes:
             ended = self.folder.summary() if self.folder.ended else None
             if ended is not None and not (self.testing and self._episodes >= len(ended.test_episodes)):
-                raise missing(self._path_after(self.folder.all_steps(), kinds[0]))
+                raise missing(self._steps.path(kinds[0]))
             raise EndOfRecord
         if step is not None and step.name.partition("_")[2] not in kinds:
             raise changed(step)
         return step
 
-    def _keep(self, kind: str, content: bytes) -> None:
-        """Append a step: whole, and on disk when this returns."""
-        self._write(self._next(kind), content)
-
-    def _write(self, file: Path, content: bytes) -> None:
-        """Write the file of a step, which may be there though the disk reports an error."""
-        try:
-            write_whole(file, content)
-        finally:
-            if file.exists():
-                self._kept.append(file)
-
-    def _next(self, kind: str) -> Path:
-        """The file of the next step; errors as of `check`."""
-        self.check()
-        return self._path_after(self._kept, kind)
-
-    def _path_after(self, steps: Sequence[Path], kind: str) -> Path:
-        """The file of a step after these."""
-        count = number(steps[-1]) + 1 if steps else 0
-        return self.folder.path / f"{count:04d}_{kind}"
-
     def check(self) -> None:
-        """Hold the folder that is written against what this process has read and written.
-
-        If it has other steps, or no trial.json, somebody has emptied, moved or changed it: a ConfigError.
-        """
-        path = self.folder.path
-        if self._writes and (self.folder.all_steps() != self._kept or not (path / TRIAL).exists()):
-            raise ConfigError(str(path), CHANGED)
+        """Hold the folder that is written against what this process has read and written (`StepFiles`)."""
+        self._steps.check()
 
 
 def another(rng: np.random.Generator, times: int) -> np.random.Generator:
@@ -334,20 +295,6 @@ def another(rng: np.random.Generator, times: int) -> np.random.Generator:
         return rng
     entropy = [times, *seed.generate_state(4).tolist()]
     return np.random.default_rng(np.random.SeedSequence(entropy, spawn_key=seed.spawn_key))
-
-
-def missing(path: Path) -> ConfigError:
-    """The error of a file that a trial's folder lacks."""
-    return ConfigError(str(path), "is missing. Put it back, or move the folder away to begin again")
-
-
-def changed(path: Path) -> ConfigError:
-    """The error of a step that does not fit the trial, as its code or a step before is another or gone."""
-    there = {*map(number, TrialFolder(path.parent).all_steps())}
-    gone = next((index for index in range(number(path)) if index not in there), None)
-    code = "its code, a file that it reads or this folder has changed since. Move"
-    why = code if gone is None else f"step {gone:04d} is missing. Put it back, or move"
-    return ConfigError(str(path), f"does not fit the trial: {why} the folder away to begin again")
 
 
 def _load_iteration(path: Path) -> tuple[tuple[Any, ...], dict[str, float], float | None]:

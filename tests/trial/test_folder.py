@@ -37,12 +37,13 @@ from simbias.core.records import Array, Rollout
 from simbias.lab import checked_hardware
 from simbias.terminal.trial import changed_since
 from simbias.trial import record as records
+from simbias.trial import step_files
 from simbias.trial.disk import LOCK, PART, is_locked, write_whole
 from simbias.trial.files import load_rollout
 from simbias.trial.folder import ATTEMPTS, EPISODE, EPISODES, EXPERIMENT, OUTCOME, TRIAL, TrialFolder
 from simbias.trial.observer import Observer
-from simbias.trial.record import FolderRecord
 from simbias.trial.run import TrialRecord, read_trial, run_trial
+from simbias.trial.step_files import StepFiles
 from simbias.trial.study import Study
 from simbias.trial.summary import Outcome
 
@@ -157,7 +158,7 @@ def test_an_experiment_that_has_ended_is_kept_before_a_signal_interrupts(
 ) -> None:
     """And counted, whether the signal comes while it is checked, packed or written."""
     study, log = counted(replace(short, conditions=replace(short.conditions, timeout=timeout)))
-    places = (checked_hardware, "check_rollout"), (records, "packed_rollout"), (FolderRecord, "_write")
+    places = (checked_hardware, "check_rollout"), (records, "packed_rollout"), (StepFiles, "write")
     for count in range(EXPERIMENTS):
         owner, name = places[count % len(places)]
         with monkeypatch.context() as patch:
@@ -485,7 +486,7 @@ def test_a_full_disk_loses_nothing(
         write_whole(path, content)
 
     with monkeypatch.context() as patch:
-        patch.setattr(records, "write_whole", until_full)
+        patch.setattr(step_files, "write_whole", until_full)
         for room in range(len(step_names(whole[0]))):
             record = run_trial(short, tmp_path)
             assert (record.outcome, len(step_names(tmp_path))) == (Outcome.ERROR, room)
@@ -515,7 +516,7 @@ def test_no_experiment_is_made_that_could_not_be_kept(
             spare.append(path.with_name(f"{path.name}{PART}").stat().st_size - len(content))
         write_whole(path, content)
 
-    monkeypatch.setattr(records, "write_whole", write)
+    monkeypatch.setattr(step_files, "write_whole", write)
     assert_equal(timeless(run_trial(study, tmp_path)), timeless(whole[1]))
     assert log.count("made") == len(spare) == EXPERIMENTS
     assert min(spare) >= 0

@@ -77,7 +77,7 @@ def test_an_iteration_is_kept_before_anyone_sees_it(
         raise OSError("disk full")
 
     observer = Listener()
-    monkeypatch.setattr("simbias.trial.record.FolderRecord._keep", full)
+    monkeypatch.setattr("simbias.trial.step_files.StepFiles.append", full)
     record = run_trial(scripted(point_mass), tmp_path, observer)
     assert [name for name, _ in observer.heard] == EXPERIMENTS
     assert (record.outcome, record.summary.reason) == (Outcome.ERROR, "OSError: disk full")

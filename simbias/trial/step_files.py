@@ -1,0 +1,79 @@
+"""The files of a trial's steps: those that are replayed, then those that are appended."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cached_property
+from pathlib import Path
+
+from simbias.core.errors import ConfigError
+from simbias.trial.disk import PART, write_whole
+from simbias.trial.folder import TRIAL, TrialFolder, number
+
+CHANGED = "was emptied, moved or changed while the trial ran. Put it back as it was; the same command resumes"
+
+
+class StepFiles:
+    """The steps of a folder, which one process may append to."""
+
+    def __init__(self, folder: TrialFolder) -> None:
+        self.folder = folder
+        self.writes = False  # but in a folder that is held, of a trial that has not ended
+        self._all: list[Path] = []  # those that were there, and those made since, superseded ones, too
+
+    @cached_property
+    def left(self) -> Iterator[Path]:
+        """The steps that are still to be replayed, of those that are there once the folder is held."""
+        return iter(self.folder.steps())
+
+    def begin(self) -> list[Path]:
+        """Write from now on; the steps that there are."""
+        for file in self.folder.path.glob(f"*{PART}"):  # of a process that was killed while it wrote
+            file.unlink()
+        self.writes, self._all = True, self.folder.all_steps()
+        return self._all
+
+    def append(self, kind: str, content: bytes) -> None:
+        """Append a step: whole, and on disk when this returns."""
+        self.write(self.next(kind), content)
+
+    def next(self, kind: str) -> Path:
+        """The file of the next step; errors as of `check`."""
+        self.check()
+        return self.path(kind)
+
+    def path(self, kind: str) -> Path:
+        """The file of a step after those that there are."""
+        steps = self._all if self.writes else self.folder.all_steps()
+        return self.folder.path / f"{number(steps[-1]) + 1 if steps else 0:04d}_{kind}"
+
+    def write(self, file: Path, content: bytes) -> None:
+        """Write the file of a step, which may be there though the disk reports an error."""
+        try:
+            write_whole(file, content)
+        finally:
+            if file.exists():
+                self._all.append(file)
+
+    def check(self) -> None:
+        """Hold the folder that is written against what this process has read and written.
+
+        If it has other steps, or no trial.json, somebody has emptied, moved or changed it: a ConfigError.
+        """
+        path = self.folder.path
+        if self.writes and (self.folder.all_steps() != self._all or not (path / TRIAL).exists()):
+            raise ConfigError(str(path), CHANGED)
+
+
+def missing(path: Path) -> ConfigError:
+    """The error of a file that a trial's folder lacks."""
+    return ConfigError(str(path), "is missing. Put it back, or move the folder away to begin again")
+
+
+def changed(path: Path) -> ConfigError:
+    """The error of a step that does not fit the trial, as its code or a step before is another or gone."""
+    there = {*map(number, TrialFolder(path.parent).all_steps())}
+    gone = next((index for index in range(number(path)) if index not in there), None)
+    code = "its code, a file that it reads or this folder has changed since. Move"
+    why = code if gone is None else f"step {gone:04d} is missing. Put it back, or move"
+    return ConfigError(str(path), f"does not fit the trial: {why} the folder away to begin again")
