@@ -26,6 +26,7 @@ SHORT = 0.005  # s, of frames: in longer ones, a parabola of five frames misses 
 AROUND = 3  # frames at most to each side of a longer one, whose velocity is that of a cubic,
 LONGEST = 0.06  # s, within so long
 COARSE = 0.012  # s: in longer frames, estimated velocities lack what changes fast
+SPARSE = 1.5  # frames from one sample of a state to the next, beyond which lines between miss the motion
 TWICE = 2.0  # how much inputs may exceed their limit
 SAME = 0.01  # of the samples: fewer that have the time of the one before are not told
 MOSTLY = 0.99  # of the frames: peaks of a sensor's noise exceed more
@@ -41,7 +42,7 @@ class Recording:
     pieces: tuple[Rollout, ...]
     times: tuple[Array, ...]  # of each piece (k,): when the first state was measured, in s from its start
     notes: tuple[str, ...]  # what was done to the data, and what they cannot tell
-    coarse: bool = False  # whether velocities are estimated in frames that are too long for it
+    doubts: tuple[str, ...] = ()  # about each parameter that is identified from it
 
 
 class Reader:
@@ -80,8 +81,8 @@ class Reader:
             *self._beyond_limits(path, pieces),
             *self._still(pieces),
         ]
-        coarse = self._task.time_step > COARSE and measured_rates != self._rates
-        return Recording(pieces, times, (*file.notes, *notes), coarse)
+        doubts = tuple(self._doubts(found, notes))
+        return Recording(pieces, times, (*file.notes, *notes), doubts)
 
     def _signals(self, file: Signals, notes: list[str]) -> dict[int, Signal]:
         """Signals by the place of states, then inputs, in the task's units and s; angles unwound.
@@ -166,6 +167,17 @@ class Reader:
             notes.append(f"gaps, resets or jumps leave {len(pieces)} pieces: {seconds}")
         notes += self._left_out(found, runs_of, pieces[0][0], pieces[-1][1])
         return pieces
+
+    def _doubts(self, found: Mapping[int, Signal], notes: list[str]) -> Iterator[str]:
+        """Why parameters that are identified from these signals are not to be trusted; remedies are noted."""
+        frame = self._task.time_step
+        if frame > COARSE and not self._rates.keys() <= found.keys():
+            yield f"velocities are estimated in frames of {frame:g} s"
+        period = max(_period(found[i]) for i in found if i < len(self._task.states))
+        if period > SPARSE * frame:
+            doubt = f"states are measured every {period:.3g} s, in frames of {frame:g} s"
+            notes.append(f"{doubt}: take task.time_step={period:.2g}")
+            yield doubt
 
     def _left_out(
         self,

@@ -31,7 +31,7 @@ class Recordings(NamedTuple):
     times: dict[str, tuple[Array, ...]]  # (k,) when each was measured, in s from its start
     notes: tuple[str, ...]  # what was done to the data, and the files
     extent: str  # how long each file is, and how often it was measured
-    doubt: str = ""  # about what is identified from them
+    doubt: str = ""  # about each parameter that is identified from them
 
     @property
     def pieces(self) -> Part:
@@ -72,7 +72,7 @@ def read(
     files, kept = _all_files(places), {_samples(pieces) for pieces in held_out}
     rollouts, times = dict[str, tuple[Rollout, ...]](), dict[str, tuple[Array, ...]]()
     notes, extents = defaultdict[str, list[str]](list), list[str]()  # the files that a note is on
-    seen, doubt = set[str](), ""
+    seen, doubts = set[str](), dict[str, None]()
     for file in files:
         name = _name(file, files)
         try:
@@ -82,8 +82,7 @@ def read(
         if (samples := _samples(recording.pieces)) in kept:
             notes["held out, so not fitted to"].append(name)
             continue
-        if recording.coarse:
-            doubt = f"velocities are estimated in frames of {study.task.time_step:g} s"
+        doubts |= dict.fromkeys(recording.doubts)
         for note in recording.notes:
             notes[note].append(name)
         if samples in seen:
@@ -98,7 +97,7 @@ def read(
         rollouts[name], times[name] = zip(*pieces, strict=True)
         extents.append(f"{name} {_extent(study.task, rollouts[name], times[name])}")
     told = tuple(f"{', '.join(names)}: {note}" for note, names in notes.items())
-    return Recordings(rollouts, times, told, ", ".join(extents), doubt)
+    return Recordings(rollouts, times, told, ", ".join(extents), "; ".join(doubts))
 
 
 def _reader(study: Study, columns: Mapping[str, str] | None) -> Reader:

@@ -120,6 +120,20 @@ def test_rates_of_their_own_and_jitter(read: Read, table: pd.DataFrame, rollout:
     assert np.quantile(np.abs(piece.inputs - held), 0.9) < 1e-2
 
 
+@pytest.mark.parametrize("every", [1, 2])
+def test_states_that_are_measured_more_rarely_than_frames_are_doubted(
+    read: Read, table: pd.DataFrame, every: int
+) -> None:
+    """Whatever the rate of inputs; the remedy is told."""
+    others = np.arange(len(table)) % every > 0
+    table["pos2"] = table["pos2"].where(~others)
+    recording, doubt = read(table), "states are measured every 0.004 s, in frames of 0.002 s"
+    assert recording.doubts == ((doubt,) if every > 1 else ())
+    assert recording.notes == ((f"{doubt}: take task.time_step=0.004",) if every > 1 else ())
+    table["tau1"] = table["tau1"].where(np.arange(len(table)) % 4 == 0)
+    assert read(table).doubts == recording.doubts
+
+
 @pytest.mark.parametrize("rows", [1, 3, 7])
 @pytest.mark.parametrize("frames", [1, 2, 5])
 def test_inputs_are_held_and_a_frame_has_their_mean(read: Read, rows: int, frames: int) -> None:
@@ -272,7 +286,7 @@ def test_estimated_velocities_are_not_damped(frame: float, tmp_path: Path) -> No
     table.to_csv(tmp_path / "one.csv", index=False)
     task = pendulum(f"task.time_step={frame}").task
     recording = Reader(task, {name: name for name in NAMES}).read(tmp_path / "one.csv")
-    assert recording.coarse == (frame > 0.01)
+    assert bool(recording.doubts) == (frame > 0.01)
     found = recording.pieces[0].states[5:-5, 2]
     true = 4.8 * np.cos(6.0 * t)[5 : len(found) + 5]
     assert found @ true / (true @ true) == pytest.approx(1.0, abs=3e-3)
