@@ -16,6 +16,8 @@ FEWEST_AROUND = 3  # frames to each side of one that is smoothed
 WIDTHS = 12  # numbers of frames that are tried
 OUTLIER = 4.0  # deviations of noise
 EVEN = 2.0  # long over short times between samples; between steps of an encoder they differ more
+MOST_BENT = 0.85  # of the frames in which a line between samples bends; above, each may be a sample
+MOSTLY = 0.9  # of the samples: those that bend it to one side alone
 
 
 def noise_of(rollouts: Sequence[Rollout]) -> Array:
@@ -24,7 +26,7 @@ def noise_of(rollouts: Sequence[Rollout]) -> Array:
     Those of zero, where an encoder rests, do not count.
     """
     thirds = [
-        np.abs(np.concatenate([np.diff(_samples(values), 3) for values in states]))
+        np.abs(np.concatenate([_thirds(*_samples(values)) for values in states]))
         for states in zip(*(rollout.states.T for rollout in rollouts), strict=True)
     ]
     moving = [each[each > LINEAR * each.max(initial=0.0)] for each in thirds]
@@ -66,13 +68,38 @@ def smoothed(rollouts: Sequence[Rollout], frames: int) -> list[Array]:
     return [next(made) if each else rollout.states for rollout, each in zip(rollouts, noisy, strict=True)]
 
 
-def _samples(values: Array) -> Array:
-    """A state (k,) in each frame or, where it was measured less often and is linear between, when it was."""
-    sizes = np.abs(np.diff(values, 2))
-    bends = sizes > LINEAR * np.ptp(values)
-    # A sample between two frames bends the line in both, in the nearer one more.
-    samples = np.flatnonzero(bends[1:-1] & (sizes[1:-1] >= sizes[:-2]) & (sizes[1:-1] > sizes[2:])) + 2
-    if len(samples) < FEWEST or bends.sum() > 2 * (len(samples) + 1):
-        return values
-    least, most = np.quantile(np.diff(samples), [0.1, 0.9])
-    return values[samples] if most <= EVEN * least else values
+def _samples(values: Array) -> tuple[Array, Array]:
+    """When a state (k,) was measured, in frames, and what: in each, or more rarely and linear between."""
+    each = np.arange(float(len(values))), values
+    bends = np.append(np.diff(values, 2), 0.0)  # at each frame but the first
+    bent = np.abs(bends) > LINEAR * np.ptp(values)
+    before = np.flatnonzero(bent)
+    if len(before) < FEWEST or bent.mean() > MOST_BENT:
+        return each
+    # A sample between two frames bends the line in both: every second frame of a run is before a sample.
+    runs = before[np.diff(before, prepend=-2) > 1]
+    before = before[(before - runs[np.searchsorted(runs, before, side="right") - 1]) % 2 == 0]
+    first, second = bends[before], np.where(bent[before + 1], bends[before + 1], 0.0)
+    same = first * second >= 0.0  # an encoder's step bends it to both sides
+    before, share = before[same] + 1, second[same] / (first + second)[same]
+    if len(before) < FEWEST or same.mean() < MOSTLY:
+        return each
+    times, slopes = before + share, values[before] - values[before - 1]
+    least, most = np.quantile(np.diff(times), [0.1, 0.9])
+    return (times, values[before] + share * slopes) if most <= EVEN * least else each
+
+
+def _thirds(times: Array, values: Array) -> Array:
+    """Third differences (k - 3,) of values (k,), divided by their spacing where it is uneven.
+
+    White noise in the values makes them as large as those of evenly spaced ones.
+    """
+    if len(values) <= 3:
+        return values[:0]
+    spacing = np.median(np.diff(times))
+    for order in (1, 2, 3):
+        values = np.diff(values) * (order * spacing / (times[order:] - times[:-order]))
+    four = np.lib.stride_tricks.sliding_window_view(times, 4)
+    distances = (four[:, :, None] - four[:, None, :]) / spacing + np.eye(4)
+    weights = 6.0 / np.prod(distances, axis=2)
+    return np.asarray(values * np.sqrt(20.0 / np.sum(weights**2, axis=1)))
