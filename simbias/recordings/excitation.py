@@ -20,7 +20,8 @@ from simbias.simulation.open_loop import PredictionModel, Windows, predict
 from simbias.trial.study import Study
 
 MODELS = 16  # the most probable one and draws, on which a trajectory keeps the limits
-JUDGED = 4  # of them, at which it is judged where nothing has been learned
+FURTHER = 200  # draws that take no part in the search, on which the limits are judged
+JUDGED = 4  # of the models, at which it is judged where nothing has been learned
 HARMONICS = 20  # of each input's Fourier series, at most
 FASTEST = 5.0  # Hz
 RAMP = 0.25  # s, in which inputs rise from zero, and fall to it
@@ -70,12 +71,11 @@ class Designer:
         assert isinstance(posterior, Posterior)
         self._study, self._posterior = study, posterior
         self.nominal = posterior.prior(study.nominal)
-        parameters = self.nominal.parameters
         rng = np.random.default_rng(SEED)
         known = model if isinstance(model, Identified) else Identified.of_prior(self.nominal)
-        self._errors = known.errors
+        self._known, self._errors = known, known.errors
         z = np.array([known.mode, *(known.draw_coordinates(rng) for _ in range(MODELS - 1))])
-        self._models = [self.nominal.with_parameters(values_at(parameters, each)) for each in z]
+        self._models = self._models_at(z)
         # Along with what has been learned at the mode, another draw would seem to determine everything.
         judged_at = z[: 1 if known is model else JUDGED]
         self._informations = [Information(self.nominal, each) for each in judged_at]
@@ -121,10 +121,21 @@ class Designer:
         rollouts, kept = self._scaled(inputs)
         return self._judged(rollouts) if kept else None
 
+    def beyond(self, inputs: Array) -> float:
+        """The share of draws, other than those of the search, that leave the limits under inputs (T, m)."""
+        (rng,) = np.random.default_rng(SEED).spawn(1)
+        drawn = self._models_at([self._known.draw_coordinates(rng) for _ in range(FURTHER)])
+        return float(np.mean([not self._allowed(each) for each in self._simulated(inputs, drawn)]))
+
+    def _models_at(self, coordinates: Sequence[Array] | Array) -> list[Nominal]:
+        """The nominal model with parameters at coordinates (p,), for each of these."""
+        parameters = self.nominal.parameters
+        return [self.nominal.with_parameters(values_at(parameters, z)) for z in coordinates]
+
     def _scaled(self, inputs: Array) -> tuple[list[Rollout], bool]:
         """Rollouts of all models under inputs (T, m), scaled down until limits are kept; whether they are."""
         for scale in SCALES:
-            rollouts = self._simulated(np.clip(scale * inputs, *self._bounds.input_bounds))
+            rollouts = self._simulated(np.clip(scale * inputs, *self._bounds.input_bounds), self._models)
             if all(self._allowed(rollout) for rollout in rollouts):
                 return rollouts, True
         return rollouts, False
@@ -156,12 +167,12 @@ class Designer:
         middle, limit = (lower + upper) / 2, (upper - lower) / 2
         return ramp * middle + u * limit / np.maximum(np.abs(u).max(axis=0), 1e-12)
 
-    def _simulated(self, inputs: Array) -> list[Rollout]:
+    def _simulated(self, inputs: Array, models: Sequence[Nominal]) -> list[Rollout]:
         """The rollout of each model under inputs (T, m) from the task's mean start."""
         start = self._study.task.start_mean
         states = np.broadcast_to(start, (len(inputs) + 1, len(start)))
         windows = Windows.of([Rollout(states, inputs)], len(inputs), 1)
-        made = predict([PredictionModel(model) for model in self._models], windows)[:, 0]
+        made = predict([PredictionModel(model) for model in models], windows)[:, 0]
         return [Rollout(np.vstack([start, each]), inputs) for each in made]
 
     def _allowed(self, rollout: Rollout) -> bool:

@@ -13,7 +13,7 @@ from simbias.core.errors import reason
 from simbias.core.records import Array
 from simbias.learning.identification.posterior import Posterior
 from simbias.learning.noise import noise_of
-from simbias.recordings.excitation import MODELS, Designer, Excitation
+from simbias.recordings.excitation import FURTHER, MODELS, Designer, Excitation
 from simbias.recordings.files import trajectory
 from simbias.recordings.recovery import Take, recover
 from simbias.terminal.identify import Request, table
@@ -28,6 +28,7 @@ COMES_BACK = (
     "intervals hold the truth; by chance, fewer do in 7 of 100 cases."
 )
 LEAST, MOST = 0.01, 3600.0  # s of inputs
+RARELY = 0.05  # share of robots beyond the limits, up to which no remedy is told
 
 
 def excite(request: Request, seconds: float, file: Path) -> None:
@@ -51,6 +52,7 @@ def excite(request: Request, seconds: float, file: Path) -> None:
         model = posterior.fit(study.nominal, learned.rollouts, learned.recordings)
         designer = Designer(study, model, noise_of(learned.rollouts) if learned.rollouts else None)
         found = designer.design(seconds, TRAJECTORIES, np.random.default_rng(study.seed))
+        beyond = designer.beyond(found.rollout.inputs)
     with _writing(file):
         trajectory(study.task, found.rollout).to_csv(file, index=False, float_format="%.6g")
     names = ("parameter", "unit", "deviation now", "afterwards")
@@ -66,6 +68,8 @@ def excite(request: Request, seconds: float, file: Path) -> None:
         say(console, f"As if the model were exact, with white noise of {_levels(study, designer.noise)}.")
         say(console, "From recordings, in place of their option, how the model errs would count, too.")
     say(console, f"On the most probable model and {MODELS - 1} draws, within {_extremes(study, found)}.")
+    remedy = ": lower hardware.safety, or scale the inputs down" if beyond > RARELY else ""
+    say(console, f"Of {FURTHER} other draws, {beyond:.0%} go beyond the limits{remedy}.")
     say(console, f"Look at it:  {file}")
 
 

@@ -56,11 +56,14 @@ def test_the_limits_are_kept_on_every_draw(study: Study) -> None:
     assert found.information >= few.information > 0
     bounds = study.conditions.safety.bounds(study.task)
     assert (np.abs(found.rollout.inputs) <= bounds.inputs).all()
-    reached = [np.abs(each.states).max(axis=0) for each in designer._simulated(found.rollout.inputs)]
+    simulated = designer._simulated(found.rollout.inputs, designer._models)
+    reached = [np.abs(each.states).max(axis=0) for each in simulated]
     assert len(reached) == MODELS
     assert (found.largest <= bounds.states).all()
     np.testing.assert_array_equal(found.largest, np.max(reached, axis=0))
     assert (found.deviations < 1).any()
+    none, few, most = (designer.beyond(scale * found.rollout.inputs) for scale in (0.0, 1.0, 3.0))
+    assert 0 == none <= few < 0.1 < most
 
 
 @pytest.mark.slow
@@ -295,6 +298,7 @@ def test_the_commands(
         r"^As if the model were exact, with white noise of pos1 0\.0\d+ rad, ", out, re.MULTILINE
     )
     assert "On the most probable model and 15 draws, within |pos1| < " in out
+    assert re.search(r"^Of 200 other draws, \d+% go beyond the limits", out, re.MULTILINE)
     written = pd.read_csv(folder / "new" / "torques.csv")
     assert list(written) == ["time", "pos1", "pos2", "vel1", "vel2", "tau1", "tau2"]
     assert len(written) == 500
