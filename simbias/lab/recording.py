@@ -275,11 +275,13 @@ class Reader:
         return notes
 
     def _still(self, pieces: Sequence[Rollout]) -> Iterator[str]:
-        """Notes on quantities that never change, from which nothing can be learned."""
+        """Notes on quantities that never change, and what they cannot tell."""
         each = zip(*((*piece.states.T, *piece.inputs.T) for piece in pieces), strict=True)
-        for quantity, values in zip(self._quantities, each, strict=True):
+        for i, (quantity, values) in enumerate(zip(self._quantities, each, strict=True)):
             if np.ptp(np.concatenate(values)) == 0:
-                yield f"{quantity.name} never changes, so nothing is learned of what it moves"
+                of_motor = "its motor's gain is not told apart from an offset"
+                lacks = "nothing is learned of its motion" if i < len(self._task.states) else of_motor
+                yield f"{quantity.name} never changes, so {lacks}"
 
 
 def _factor(file: Signals, name: str, unit: str, wanted: str) -> float:
