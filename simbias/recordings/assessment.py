@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from simbias.core import Nominal, Task
@@ -87,6 +88,17 @@ class Assessment:
     def better(self) -> bool:
         """Whether the model predicts better than the nominal one what it was not fitted to."""
         return self.ratio < 1.0
+
+    @property
+    def trusted(self) -> bool:
+        """Whether any parameter is trusted."""
+        return any(finding.trusted for finding in self.findings)
+
+    @property
+    def failing(self) -> float:
+        """The share of the recorded states that are beyond the task's failure criteria."""
+        states = [rollout.states for part in self.parts for rollout in part.rollouts]
+        return float(np.mean(self.task.violated(np.concatenate(states)) >= 0))
 
     @property
     def own_estimates(self) -> dict[str, list[Estimate]]:

@@ -25,6 +25,8 @@ PARAMETER_NAMES = (
 ERROR_NAMES = ("horizon (s)", "predictions", "over nominal", "90% region holds")
 MEAN = "in the geometric mean over states and horizons"
 NARROWER = 0.8  # times the deviations, below which windows of another length are worth a trial
+FAR_LARGER = 10.0  # times what is explained: few models lack as much, as a spring or friction
+OFTEN = 0.1  # share of states beyond failure criteria, where recordings of failures end
 WORTH = 0.1  # share by which an experiment has to narrow a parameter to be named
 REMEDY = "measure what you can otherwise (masses by weighing or another load), and declare it"
 SHORTER = "take a smaller nominal.sub_step or, in an MJCF, timestep"
@@ -40,19 +42,20 @@ def verdict(assessment: Assessment) -> str:
     apart = f" (each part by itself {min(ratios.values()):.2f} to {max(ratios.values()):.2f})"
     each = apart if len(ratios) > 1 else ""
     what = "recordings that were held out" if assessment.held_out else "parts that it was not fitted to"
+    wrong = _mistakes(assessment) + _units(assessment)
     if assessment.better:
-        none = "" if any(finding.trusted for finding in assessment.findings) else " No parameter is trusted."
+        none = "" if assessment.trusted else " No parameter is trusted."
         worse = [f"after {one.seconds:g} s" for one in assessment.predictions if one.ratio() > 1.0]
         states = zip(assessment.task.states, by_state(assessment.predictions), strict=True)
         worse += [f"in {state.name}" for state, ratio in states if ratio > 1.0]
         ahead = f" It errs more {', '.join(worse)}." if worse else ""
         return (
             f"On {what}, the identified model errs {assessment.ratio:.2f} times as much as "
-            f"the nominal one{each}, {MEAN}.{ahead}{none}{_lacking(assessment)}{_mistakes(assessment)}"
+            f"the nominal one{each}, {MEAN}.{ahead}{none}{_lacking(assessment)}{wrong}"
         )
     return (
         f"The identified model is no better than the nominal one on {what}: it errs "
-        f"{assessment.ratio:.2f} times as much{each}, {MEAN}. Do not use it.{_mistakes(assessment)}"
+        f"{assessment.ratio:.2f} times as much{each}, {MEAN}. Do not use it.{wrong}"
     )
 
 
@@ -76,6 +79,14 @@ def _mistakes(assessment: Assessment) -> str:
         said += f" With {words}{where}{also} the nominal model errs {times:.2f} times as much"
         said += ": check the recorded sign and column."
     return said
+
+
+def _units(assessment: Assessment) -> str:
+    """A sentence if errors are far larger than explained, and states beyond what the task allows; else ""."""
+    times, _ = assessment.unexplained or (0.0, 0.0)
+    if times < FAR_LARGER or (share := assessment.failing) < OFTEN:
+        return ""
+    return f" {share:.0%} of the recorded states are beyond the task's failure criteria: is a unit wrong?"
 
 
 def parameter_rows(assessment: Assessment) -> Iterator[Sequence[str]]:

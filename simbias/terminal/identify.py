@@ -96,6 +96,8 @@ class Request(NamedTuple):
 def identify(request: Request, attach: bool = False) -> bool:
     """Identify, tell, and write; return whether the model is better than the nominal one.
 
+    Where nothing of it is trusted, it is not good enough for a trial that is attached.
+
     A ConfigError names a bad override, a recording that cannot be read, a file that cannot be written, or the
     hardware of a trial that is attached and has no recordings.
     """
@@ -124,6 +126,9 @@ def identify(request: Request, attach: bool = False) -> bool:
     say(console, f"Look at it:  {request.folder / 'report.html'}")
     again = f"--config-dir {request.configs} {GROUP}={request.option.stem}"
     say(console, f"Begin a trial with it:  {again}  ({request.option})")
+    if attach and assessment.better and not assessment.trusted:
+        say(console, "No trial is begun, as no parameter is trusted; the line above begins one anyway.")
+        return False
     return assessment.better
 
 

@@ -118,6 +118,7 @@ def test_errors_that_noise_and_uncertainty_do_not_explain_are_told(assessment: A
         replace(one, identified=tuple(3 * each for each in one.identified)) for one in assessment.predictions
     ]
     lacking = replace(assessment, predictions=larger).doubted()
+    still = replace(assessment.study, task=pendulum("task.failure.speed.above=0.1").task)
     said = r" Errors after \S+ s are [34]\.\d times what measurement noise and intervals explain: "
     assert re.search(said, verdict(lacking))
     told = [[row[-1] for row in parameter_rows(each)] for each in (assessment, lacking)]
@@ -126,6 +127,10 @@ def test_errors_that_noise_and_uncertainty_do_not_explain_are_told(assessment: A
     assert told[1] == [doubt if cell == "yes" else f"{cell}; {doubt}" for cell in told[0]]
     assert " No parameter is trusted." in verdict(lacking)
     assert not parameters(lacking)["trusted"].any()
+    assert "is a unit wrong?" not in verdict(replace(lacking, study=still))
+    far = [replace(one, identified=tuple(9 * each for each in one.identified)) for one in larger]
+    for fitted, asks in ((lacking.study, False), (still, True)):
+        assert ("is a unit wrong?" in verdict(replace(lacking, study=fitted, predictions=far))) == asks
     swapped = [replace(one, nominal=one.identified, identified=one.nominal) for one in larger]
     doubts = [each.doubts[-1] for each in replace(assessment, predictions=swapped).doubted().findings]
     assert set(doubts) == {"the model is no better than the nominal one"}
@@ -636,6 +641,11 @@ def test_the_command_tells_and_writes(
     (of_trial,) = (folder / "trials").iterdir()
     trial = simbias.load_trial(of_trial, config_dir=folder / "identified" / "conf")
     assert trial.iterations[0].model.nominal.estimates
+    with monkeypatch.context() as patched:
+        patched.setattr(Assessment, "trusted", False)
+        assert main([*arguments, "method.max_iterations=2", "--attach"]) == 1
+    assert "No trial is begun, as no parameter is trusted; " in capsys.readouterr().out
+    assert list((folder / "trials").iterdir()) == [of_trial]
     write_csv(experiment(study.nominal, np.random.default_rng(0)), folder / "two.csv")
     files, overrides = arguments[:2], arguments[2:]
     assert main([*files, "--attach", "--held-out", "two.csv", *overrides]) == 1
