@@ -42,7 +42,7 @@ class Excitation:
     """Inputs, and what they are expected to tell."""
 
     rollout: Rollout  # as the most probable model predicts it
-    deviations: Array  # (p,) expected of the posterior afterwards, in those of the prior
+    deviations: Array  # (p,) of the posterior afterwards, in those of the prior: lower bounds
     information: float  # nats that are gained: the fall of the logarithm of the posterior's volume
     largest: Array  # (n,) magnitudes of states, over all models on which limits are kept
 

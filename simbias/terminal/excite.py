@@ -27,6 +27,7 @@ COMES_BACK = (
     "A parameter comes back if identify would trust it in most robots, and at least 8 of 10 of its 90% "
     "intervals hold the truth; by chance, fewer do in 7 of 100 cases."
 )
+BOUND = "Those afterwards are lower bounds: identify also counts how errors scatter."
 LEAST, MOST = 0.01, 3600.0  # s of inputs
 RARELY = 0.05  # share of robots beyond the limits, up to which no remedy is told
 
@@ -63,7 +64,7 @@ def excite(request: Request, seconds: float, file: Path) -> None:
         )
     ]
     table(console, names, rows)
-    say(console, "Deviations are in those of the prior, as expected of the posterior.")
+    say(console, f"Deviations are in those of the prior. {BOUND}")
     if not learned.rollouts:
         say(console, f"As if the model were exact, with white noise of {_levels(study, designer.noise)}.")
         say(console, "From recordings, in place of their option, how the model errs would count, too.")
