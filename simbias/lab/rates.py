@@ -12,6 +12,8 @@ from simbias.learning.noise import noise_of
 
 SLOWEST = 0.05  # s over which positions and velocities are compared
 LATEST, CLEARLY = 0.1, 0.5  # s that a rate may be late; its share of squared differences then, at most
+LATE, PART = 0.002, 0.3  # s, and of a frame, that a rate may be late, as simulators of few steps a frame are
+SURE = 4.0  # standard errors of a delay
 TWICE = 2.0  # how much positions may differ from the integrals of velocities
 CORRELATED = 0.8  # below, velocities say too little for their size to be compared
 UNRELATED, CLEAR = 0.3, 4.0  # below, however late: others, if both change by so many times their noise
@@ -62,18 +64,34 @@ def jumps(times: Array, values: Array, rates: Array) -> Indices:
     return np.flatnonzero(excess > np.maximum(JUMP * np.abs(rates).max() * due, FAR * usual)) + 1
 
 
-def late_rates(pieces: Sequence[Rollout], task: Task, rates: Mapping[int, int]) -> list[str]:
-    """Notes on recorded rates that agree clearly better with how their values changed before."""
-    latest, names, notes = task.frames(LATEST), [state.name for state in task.states], []
+def late_rates(pieces: Sequence[Rollout], task: Task, rates: Mapping[int, int]) -> dict[int, float]:
+    """By how many s recorded rates follow how their values change, by the places of those that clearly do."""
+    latest, found = task.frames(LATEST), {}
     for i, position in rates.items():
         changes = _changes(pieces, i, position, task)
         delayed = (_delayed(changes, late, latest) for late in range(latest + 1))
         errors = [float(np.sum((told - moved) ** 2)) for moved, told in delayed]
         late = int(np.argmin(errors))
         if errors[late] < CLEARLY * errors[0]:
-            follows = f"{names[i]} follows {names[position]} by {1e3 * late * task.time_step:.3g} ms"
-            notes.append(f"{follows}; without its column, it is estimated")
-    return notes
+            found[i] = late * task.time_step
+        elif (delay := _delay(pieces, i, changes, task)) >= max(LATE, PART * task.time_step):
+            found[i] = delay
+    return found
+
+
+def _delay(pieces: Sequence[Rollout], rate: int, changes: Sequence[tuple[Array, Array]], task: Task) -> float:
+    """The delay of a rate in s, which may be a fraction of a frame; 0 unless it is sure.
+
+    What is told of a change lacks, to first order, the rise of the rate in the same while times the delay.
+    """
+    moved, told = _delayed(changes, 0, 0)
+    k, lacking = task.frames(SLOWEST), moved - told
+    rises = np.concatenate([x.states[k:, rate] - x.states[:-k, rate] for x in pieces])
+    if len(lacking) < LASTING / task.time_step or not (size := float(rises @ rises)):
+        return 0.0
+    delay = float(lacking @ rises) / size
+    left = lacking - delay * rises  # of whiles that overlap
+    return delay if delay > SURE * np.sqrt(2 * k * np.mean(left**2) / size) else 0.0
 
 
 def _changes(pieces: Sequence[Rollout], rate: int, position: int, task: Task) -> list[tuple[Array, Array]]:

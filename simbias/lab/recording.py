@@ -76,13 +76,14 @@ class Reader:
         pieces, times = zip(*(self._piece(found, begin, end) for begin, end in bounds), strict=True)
         measured_rates = {i: position for i, position in self._rates.items() if i in found}
         check_rates(str(path), pieces, self._task, measured_rates)
+        late = late_rates(pieces, self._task, measured_rates)
         notes += [
-            *late_rates(pieces, self._task, measured_rates),
+            *self._late(late),
             *self._beyond_limits(path, pieces),
             *self._still(pieces),
         ]
-        doubts = tuple(self._doubts(found, notes))
-        return Recording(pieces, times, (*file.notes, *notes), doubts)
+        doubts = [*self._doubts(found, notes), *(["velocities follow their positions late"] if late else [])]
+        return Recording(pieces, times, (*file.notes, *notes), tuple(doubts))
 
     def _signals(self, file: Signals, notes: list[str]) -> dict[int, Signal]:
         """Signals by the place of states, then inputs, in the task's units and s; angles unwound.
@@ -273,6 +274,12 @@ class Reader:
             if (most := values.max()) > TOLERANCE * limit:
                 notes.append(f"up to {most:.3g} {each.unit}, the mean over a frame, {told}")
         return notes
+
+    def _late(self, delays: Mapping[int, float]) -> Iterator[str]:
+        """Notes on rates that are late by so many s."""
+        for i, delay in delays.items():
+            rate, position = (self._quantities[j].name for j in (i, self._rates[i]))
+            yield f"{rate} follows {position} by {1e3 * delay:.3g} ms; without its column, it is estimated"
 
     def _still(self, pieces: Sequence[Rollout]) -> Iterator[str]:
         """Notes on quantities that never change, and what they cannot tell."""
