@@ -25,7 +25,7 @@ def load(
 
     >>> study = load(["bias=none", "hardware.noise.torque_variance=0.1", "seed=3"])
 
-    Components of your own are beside `config_dir`, or in modules that `allow` names.
+    Custom components lie beside `config_dir`, or in modules that `allow` names.
 
     Raises
     ------
@@ -45,12 +45,12 @@ def load_trial(
     config_dir: Path | str | None = None,
     allow: Sequence[str] = (),
 ) -> TrialRecord:
-    """Read a trial back: its study, its iterations and how it ended; it may be under way.
+    """Read back a trial: its study, its iterations and its outcome. The trial may still be running.
 
     >>> trial = load_trial("trials/7a29f4c5425f")
 
-    In place of its folder, `trial` may be the id of its run in the MLflow store `uri`, which no folder needs.
-    Components of your own as for `load`.
+    `trial` is a trial's folder, or the id of its run in the MLflow store `uri`. A folder needs no store. For
+    custom components see `load`.
 
     Raises
     ------
@@ -73,14 +73,14 @@ def run_sweep(
     observer: SweepObserver | None = None,
     allow: Sequence[str] = (),
 ) -> DataFrame:
-    """Run a sweep, or resume it; return its trials, a row for each.
+    """Run or resume a sweep; return one row per trial.
 
     >>> trials = run_sweep(["+sweep=smoke", "engine=sequential"])
 
     Raises
     ------
     simbias.config.ConfigError
-        If anything is bad about the sweep; nothing has run then.
+        If the sweep is invalid; in that case nothing has run.
     """
     from simbias.sweep import running
 
@@ -95,18 +95,18 @@ def identify(
     config_dir: Path | str | None = None,
     allow: Sequence[str] = (),
 ) -> Assessment:
-    """Identify a model from recordings, files or folders of CSV, and judge it on what it was not fitted to.
+    """Identify a model from recordings (CSV files or folders of them), and assess it on held-out recordings.
 
     >>> found = identify(["recordings"], ["preset=double_pendulum", "identification=posterior"])
     >>> found.better, [finding.trusted for finding in found.findings]
 
-    `columns` are names of columns by the task's names. Nothing is fitted to a file that is held out, even if
-    `recordings` name it or a copy, too. Warnings tell what was done to the data.
+    `columns` maps the task's names to names of columns. A held-out file is never used for fitting, even if
+    `recordings` also names it or a copy of it. Warnings report how the data were changed.
 
     Raises
     ------
     simbias.config.ConfigError
-        If an override is bad, nothing is identified, or the recordings cannot be read or are too short.
+        If an override is bad, nothing is identified, or the recordings are unreadable or too short.
     """
     from simbias.config import compose
     from simbias.config.build import OF_RECORDINGS, build
