@@ -24,14 +24,14 @@ if TYPE_CHECKING:
     from simbias.mlflow.tracking import Mlflow
     from simbias.terminal.identify import Request
 
-GARBAGE = 100_000  # new objects between two garbage collections; Python's 700 cost a fifth of a start
+GARBAGE = 100_000  # new objects between garbage collections; Python's 700 costs a fifth of the start-up
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run what the command line asks for; return the exit status."""
     gc.set_threshold(GARBAGE)
     for name in ("stdout", "stderr"):
-        if getattr(sys, name) is None:  # closed by who started us, as a daemon
+        if getattr(sys, name) is None:  # closed by the parent process, as for a daemon
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
     try:
         parsed = parse(arguments, __version__)
@@ -39,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             status = (_show_config if parsed.cfg else COMMANDS[parsed.command])(parsed)
         sys.stdout.flush()
         return status
-    except BrokenPipeError:  # who reads our output, `head` say, has seen enough
+    except BrokenPipeError:  # the reader of our output, such as `head`, has closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILED
     except ConfigError as error:
@@ -55,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _trace_of_own_code(error: BaseException | None) -> str:
-    """The place of the traceback of an error from the user's own code."""
+    """Where the traceback is, for an error that passed through the user's own code."""
     from simbias.core.error_origin import has_own_code
     from simbias.terminal.lines import place_of_trace
 
@@ -63,14 +63,14 @@ def _trace_of_own_code(error: BaseException | None) -> str:
 
 
 def _check(parsed: argparse.Namespace) -> int:
-    """Put components through the conformance suite."""
+    """Run the conformance suite on components."""
     from simbias.terminal.check import check
 
     return SUCCEEDED if check(parsed.overrides, parsed.config_dir, parsed.allow) else FAILED
 
 
 def _preview(parsed: argparse.Namespace) -> int:
-    """Show what the first experiment is predicted to do."""
+    """Show the prediction of the first experiment."""
     from simbias.terminal.preview import preview
 
     preview(parsed.overrides, parsed.config_dir, parsed.allow)
@@ -88,7 +88,7 @@ def _pictures(parsed: argparse.Namespace) -> int:
 
 
 def _controller(parsed: argparse.Namespace) -> int:
-    """Write the controller of a trial's last policy."""
+    """Write a controller that runs a trial's last policy."""
     from simbias.lab.requests.folder import write_controller
 
     trial = load_trial(parsed.trial, uri=parsed.uri, config_dir=parsed.config_dir, allow=parsed.allow)
@@ -99,7 +99,7 @@ def _controller(parsed: argparse.Namespace) -> int:
 
 
 def _report(parsed: argparse.Namespace) -> int:
-    """Write the page of a trial or a sweep."""
+    """Write the HTML report of a trial or a sweep."""
     from simbias.report.pages import write_report
 
     for file in write_report(parsed.folder, parsed.config_dir, parsed.allow):
@@ -108,7 +108,7 @@ def _report(parsed: argparse.Namespace) -> int:
 
 
 def _identify(parsed: argparse.Namespace) -> int:
-    """Identify a model from recordings, and start a trial with it if that is asked for."""
+    """Identify a model from recordings; on request, start a trial with it."""
     from simbias.terminal.excite import recovery
     from simbias.terminal.identify import identify
 
@@ -123,7 +123,7 @@ def _identify(parsed: argparse.Namespace) -> int:
 
 
 def _excite(parsed: argparse.Namespace) -> int:
-    """Write inputs whose recordings tell most."""
+    """Write excitation inputs whose recordings are most informative."""
     from simbias.terminal.excite import excite
 
     excite(_of_recordings(parsed), parsed.seconds, Path(parsed.into))
@@ -146,7 +146,7 @@ def _of_recordings(parsed: argparse.Namespace) -> Request:
 
 
 def _withdraw(parsed: argparse.Namespace) -> int:
-    """Take an experiment out of a trial."""
+    """Withdraw an experiment from a trial."""
     from simbias.core.messages import counted
     from simbias.trial.folder import withdraw
 
@@ -158,7 +158,7 @@ def _withdraw(parsed: argparse.Namespace) -> int:
 
 
 def _new(parsed: argparse.Namespace) -> int:
-    """Lay out a folder for a robot of the user's own."""
+    """Lay out a folder for the user's own robot."""
     from simbias.terminal.new import new
 
     new(parsed.name)
@@ -179,7 +179,7 @@ def _run(parsed: argparse.Namespace) -> int:
 
 
 def _show_config(parsed: argparse.Namespace) -> int:
-    """Print the config that a command's overrides compose."""
+    """Print the config composed from a command's overrides."""
     from omegaconf import OmegaConf
 
     if "overrides" not in parsed or "hash" in parsed:
@@ -191,7 +191,7 @@ def _show_config(parsed: argparse.Namespace) -> int:
 
 
 def _export(parsed: argparse.Namespace) -> int:
-    """Show the trials and sweeps of a folder in MLflow; some of them may not be readable."""
+    """Export the trials and sweeps of a folder to MLflow; unreadable ones are skipped."""
     store = _mlflow(parsed)
     for line in store.export_all():
         print(line)
@@ -208,7 +208,7 @@ def _ui(parsed: argparse.Namespace) -> int:
 
 
 def _mlflow(parsed: argparse.Namespace) -> Mlflow:
-    """The store that the overrides name."""
+    """The MLflow store that the overrides name."""
     from simbias.config.build import service
     from simbias.mlflow.tracking import Mlflow
     from simbias.sweep.tracking import Tracking
@@ -221,7 +221,7 @@ def _mlflow(parsed: argparse.Namespace) -> Mlflow:
 
 
 def _command(parsed: argparse.Namespace) -> str:
-    """The command line, to be typed again."""
+    """The command line as text, for repeating the command."""
     config_dir = ["--config-dir", parsed.config_dir] if parsed.config_dir else []
     allow = [word for module in parsed.allow for word in ("--allow", module)]
     return f"{python()} {shlex.join(['-m', 'simbias', *config_dir, *allow, *parsed.overrides])}"
