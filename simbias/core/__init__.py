@@ -1,4 +1,4 @@
-"""The contract of every component: what the author of one reads.
+"""The contract of every component, for authors of components.
 
 | author of | reads |
 | --- | --- |
@@ -6,25 +6,24 @@
 | a policy | `policy.py` |
 | a nominal model, identification, samples, a bias | `model.py` |
 | a cost, an evaluation, an optimizer | `search.py`, `objective.py` |
-| what runs compiled | `kernel.py`, and `simbias.simulation.compiler.kernels` |
-| a method | `simbias.trial.method`, and `simbias.trial.study`, which it runs |
+| compiled functions | `kernel.py`, and `simbias.simulation.compiler.kernels` |
+| a method | `simbias.trial.method`, and `simbias.trial.study`, which a method runs |
 
 All names are imported from here.
 
-n states x, m inputs u, q outputs z, p policy parameters theta, s numbers of a policy's own state; T frames of
-`time_step` seconds. Units are the task's. Components are built from YAML: the keys of
+Symbols: n states x, m inputs u, q outputs z, p policy parameters theta, s numbers of a policy's internal
+state; T frames of `time_step` seconds. Units are the task's. Components are built from YAML: the keys of
 `conf/<group>/<name>.yaml` are the constructor's arguments, checked against its annotations; an argument named
-`task` receives the task. One that reads files lists their paths as `source_files`, so that it is told when
-they change. Arrays are of floats. State is passed, never hidden; randomness comes only from a passed NumPy
-generator.
+`task` receives the task. A component that reads files lists their paths as `source_files`, so that a resumed
+trial reports changed files. Arrays hold floats. State is passed, never hidden; randomness comes only from a
+passed NumPy generator.
 
-Where a shape begins with `...`, any leading axes may stand, as in NumPy's own functions: a policy search
-simulates all its candidates together. Methods in ordinary vectorised NumPy are compiled for that, with the
-same numbers but for rounding; a component may offer a `kernel` in their place
-(`simbias.simulation.compiler.kernels`).
+A shape that begins with `...` allows any leading axes, as in NumPy's own functions: a policy search simulates
+all its candidates in lockstep. Methods in ordinary vectorised NumPy are compiled for this; results differ
+only by rounding. A component may provide a `kernel` instead (`simbias.simulation.compiler.kernels`).
 """
 
-# ruff: noqa: F401  (what others import)
+# ruff: noqa: F401  (names for others to import)
 
 from simbias.core.kernel import Kernel, SlowWarning
 from simbias.core.model import Bias, FittedBias, Identification, Model, Nominal, Samples

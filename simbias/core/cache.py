@@ -11,9 +11,9 @@ from pathlib import Path
 
 
 def cache_folder(name: str, *first: str) -> Path:
-    """A folder that can be written: in one of the `first`, in the package, or in the user's cache.
+    """A writable cache folder: in one of the `first`, in the package, or in the user's cache.
 
-    OSError if there is none.
+    OSError if none is writable.
     """
     for parent in _parents(first):
         folder = parent / name
@@ -36,11 +36,11 @@ def _parents(first: tuple[str, ...]) -> Iterator[Path]:
 
 
 def _private() -> Path:
-    """A folder of this user's among the temporary ones; OSError if another user made one of that name.
+    """This user's private temporary folder; OSError if another user owns a folder of that name.
 
-    What Numba finds in its cache it runs.
+    Privacy matters because Numba runs whatever it finds in its cache.
     """
-    user = os.getuid() if sys.platform != "win32" else 0  # where temporary folders are a user's own
+    user = os.getuid() if sys.platform != "win32" else 0  # on Windows, temporary folders are per user
     folder = Path(tempfile.gettempdir()) / f"simbias-{user}"
     folder.mkdir(mode=0o700, exist_ok=True)
     found = folder.lstat()

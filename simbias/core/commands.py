@@ -12,7 +12,7 @@ SUCCEEDED, FAILED, BAD_INPUT, WAITING, INTERRUPTED = 0, 1, 2, 3, 130  # exit sta
 
 
 def python() -> str:
-    """The Python that runs, as it is typed in the working folder."""
+    """The running Python interpreter, as a user would type it in the working folder."""
     executable = Path(sys.executable)
     if shutil.which("python") == str(executable):
         return "python"

@@ -1,4 +1,4 @@
-"""Short digests, by which trials, requests and code are known."""
+"""Short digests that identify trials, requests and code."""
 
 from __future__ import annotations
 

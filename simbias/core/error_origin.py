@@ -19,12 +19,12 @@ PACKAGE = __name__.partition(".")[0]
 
 
 def is_own(component: Any) -> bool:
-    """Whether a component is the user's own, and none of simbias's."""
+    """Whether a component is the user's own rather than simbias's."""
     return type(component).__module__.partition(".")[0] != PACKAGE
 
 
 def told(error: BaseException) -> str:
-    """The message of an error, with the component's class and method if it arose in the user's."""
+    """The message of an error, with the class and method if it arose in a user's component."""
     blamed, source, place = None, "", ""
     for frame, line in traceback.walk_tb(error.__traceback__):
         component, code = frame.f_locals.get("self"), frame.f_code
@@ -37,13 +37,13 @@ def told(error: BaseException) -> str:
 
 
 def written_at(component: Any, method: str) -> str:
-    """File and line of a component's method; its module if that is not known."""
+    """File and line of a component's method; the module if these are unknown."""
     code = getattr(getattr(type(component), method), "__code__", None)
     return f"{Path(code.co_filename).name}:{code.co_firstlineno}" if code else type(component).__module__
 
 
 def has_own_code(error: BaseException) -> bool:
-    """Whether an error, or one that it came from, passed through code that is no installed library's."""
+    """Whether an error, or one of its causes, passed through the user's own code."""
     causes = [error]
     while (cause := causes[-1].__cause__) is not None and cause not in causes:
         causes.append(cause)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from simbias.core.messages import LONGEST, brief, words
 
-LONGEST_KEY = 160  # characters of the key or file that a message names
+LONGEST_KEY = 160  # characters of a key or file name in a message
 
 
 class ConfigError(ValueError):
@@ -15,12 +15,12 @@ class ConfigError(ValueError):
         super().__init__(f"{self.key}: {self.problem}" if key else self.problem)
 
     def __reduce__(self) -> tuple[type[ConfigError], tuple[str, str]]:
-        """So that it comes back from a worker as what it is."""
+        """Pickle the key and message, so that the error survives the way back from a worker."""
         return ConfigError, (self.key, self.problem)
 
 
 def reason(error: Exception) -> str:
-    """The fault of a file or a value, in words."""
+    """The reason why a file or a value was refused, in words."""
     if isinstance(error, RecursionError):
         return "a defaults list that leads back to itself, or values nested too deeply"
     if isinstance(error, OSError) and error.strerror:

@@ -1,4 +1,4 @@
-"""Evaluations in an optimizer's search: inside the box, counted, up to a limit, the best point kept."""
+"""Evaluations in an optimizer's search: kept in the box, counted and limited; the best point is recorded."""
 
 # No `from __future__ import annotations`: constructors elsewhere inherit the types of SearchBudget's fields.
 
@@ -21,28 +21,28 @@ STEP_LIMIT = "the limit of simulated steps"
 TIME_LIMIT = "the time limit"
 RELATIVE_TOLERANCE = "the relative tolerance"
 TARGET = "the target cost"
-ROUNDING = 1e-12  # of relative changes that say nothing: DIRECT often asks for points of equal cost
+ROUNDING = 1e-12  # smaller relative changes are ignored: DIRECT often evaluates points of equal cost
 
 
 class SearchEnded(Exception):  # noqa: N818 (no error, as StopIteration is none)
-    """Ends a search from inside an optimizer's call of the objective; its text says why, in words."""
+    """Ends a search from within an optimizer's call of the objective; its text is the reason."""
 
 
 @dataclass(kw_only=True, eq=False)
 class SearchBudget:
-    """When a search, or each stage of one that has two, ends.
+    """Stopping criteria of a search, or of each stage of a two-stage search.
 
     Parameters
     ----------
     max_evaluations
-        N_in, of each stage; it never makes more.
+        N_in: the most evaluations of each stage.
     relative_tolerance
         epsilon: the search ends when the best cost Z improves by less than epsilon |Z| (Section V), once Z is
         below the target.
     max_steps
-        Simulated steps after which the search ends, as the objective's `steps` counts them.
+        Simulated steps after which the search ends, counted by the objective's `steps`.
     max_seconds
-        Wall time after which it ends; the result then depends on the machine.
+        Wall time after which the search ends; the result then depends on the machine.
     """
 
     max_evaluations: EvaluationCount
@@ -54,22 +54,22 @@ class SearchBudget:
 class Evaluations:
     """The evaluations of one search; the best point ever evaluated is kept here.
 
-    An optimizer's own answer can be worse than the best point that it saw (a population's mean, the best of
-    the last generation), and its own limit a rough one (NLopt's GN_ORIG_DIRECT exceeds it).
+    An optimizer's own answer can be worse than the best point that it saw (a population's mean, or the best
+    of the last generation). Its own limit may be inexact (NLopt's GN_ORIG_DIRECT exceeds it).
 
     Parameters
     ----------
     lower, upper
         The box, (p,) each.
     target_cost
-        Cost that the best one has to be below before small improvements end the search.
+        Small improvements end the search only once the best cost is below this cost.
     ends_at_target
-        Whether the first cost below it ends the search.
+        Whether the first cost below the target ends the search.
 
     Raises
     ------
     ValueError
-        If the box is not finite, or empty in a dimension.
+        If the box is not finite, or is empty in some dimension.
     """
 
     def __init__(
@@ -117,11 +117,11 @@ class Evaluations:
 
     @property
     def together(self) -> Callable[[Array], Array] | None:
-        """The costs (k,) of points (k, p) in lockstep, if it offers that; neither counted nor judged."""
+        """The objective's costs (k,) of points (k, p) in lockstep, not counted; None if unsupported."""
         return self._objective.together if self._objective.lockstep else None
 
     def evaluate(self, point: Array) -> float:
-        """Cost of the point (p,), moved into the box where rounding left it outside.
+        """Cost of the point (p,), clipped to the box in case rounding left it outside.
 
         Raises
         ------
@@ -135,7 +135,7 @@ class Evaluations:
         return self.judge(inside, self._objective(inside.copy()))
 
     def evaluate_all(self, points: Sequence[Array]) -> list[float]:
-        """Costs of points (p,), as `evaluate` gives them in turn; together, if the objective offers that."""
+        """Costs of points (p,), as from `evaluate`; computed in lockstep if the objective supports it."""
         affordable = [self.inside(point) for point in points[: self.remaining]]
         if self.together is None or len(affordable) < 2:
             return [self.evaluate(point) for point in points]
@@ -148,18 +148,19 @@ class Evaluations:
 
     @property
     def ranks_afresh(self) -> bool:
-        """Whether each generation meets scenarios of its own."""
+        """Whether the objective draws new scenarios for each generation."""
         return self._objective.fresh
 
     def rank(self, points: Sequence[Array]) -> list[float]:
         """Costs by which the points (p,) of a generation are ranked.
 
-        In scenarios of their own, points are counted but not judged: their costs tell nothing of others.
+        Points in newly drawn scenarios are counted but not judged: their costs cannot be compared across
+        generations.
         """
         if not self.ranks_afresh:
             return self.evaluate_all(points)
         self.check_budget()
-        if self.remaining <= len(points):  # one is left for the generation's mean
+        if self.remaining <= len(points):  # one evaluation is reserved for the generation's mean
             raise SearchEnded(EVALUATION_LIMIT)
         self.count += len(points)
         costs = self._objective.rank(np.array([self.inside(point) for point in points])).tolist()
@@ -170,7 +171,7 @@ class Evaluations:
         return costs
 
     def inside(self, point: Array) -> Array:
-        """The point (p,) or the nearest one in the box, as an array of its own; quicker than np.clip."""
+        """The point of the box nearest to the point (p,), as a new array; faster than np.clip."""
         return np.minimum(np.maximum(point, self.lower), self.upper)
 
     def check_budget(self) -> None:
@@ -185,12 +186,12 @@ class Evaluations:
             raise SearchEnded(TIME_LIMIT)
 
     def judge(self, point: Array, cost: float) -> float:
-        """Count an evaluation of a point (p,) of the box and keep the point if it is the best; its cost.
+        """Count an evaluation of a point (p,) in the box, keep the point if it is the best; return its cost.
 
         Raises
         ------
         SearchEnded, ValueError
-            As of `evaluate`, but for steps and seconds.
+            As for `evaluate`, except that steps and seconds are not checked.
         """
         if not self.remaining:
             raise SearchEnded(EVALUATION_LIMIT)
@@ -207,14 +208,14 @@ class Evaluations:
         return cost
 
     def try_first(self, points: Sequence[Array]) -> None:
-        """Evaluate as many of the points (p,) as are allowed; no improvement among them is convergence."""
+        """Evaluate as many points (p,) as the budget allows; small improvements do not end the search."""
         tolerance, self._relative_tolerance = self._relative_tolerance, 0.0
-        with suppress(SearchEnded):  # steps or seconds are spent, which a search finds when it begins
+        with suppress(SearchEnded):  # if steps or seconds are spent, the search stops at its start
             self.evaluate_all(points[: self.remaining])
         self._relative_tolerance = tolerance
 
     def run(self, search: Callable[[Self], str]) -> str:
-        """Run a search on these; why it ended, in words."""
+        """Run a search on these evaluations; return why it ended, in words."""
         if self._ends_at_target and self.below_target:
             return TARGET
         try:
@@ -224,7 +225,7 @@ class Evaluations:
             return str(end)
 
     def explored(self, search: Callable[[Self], str], limit: int) -> Array:
-        """The best point (p,) of a search from scratch, by up to `limit` of these evaluations.
+        """The best point (p,) of a search from scratch that uses at most `limit` of these evaluations.
 
         It ends at the first cost below the target, if there is a target.
         """
@@ -239,7 +240,7 @@ class Evaluations:
         return part.start
 
     def optimum(self, stopped_by: str) -> Optimum:
-        """The best point evaluated, at least the start; a search that failed is said to have failed."""
+        """The best point evaluated, or else the start; `stopped_by` says if no cost is below the target."""
         if self._best_point is None:  # a generation was ranked afresh, or is more than the budget allows
             with suppress(SearchEnded):
                 self.judge(self.start, self._objective(self.start))
@@ -250,6 +251,6 @@ class Evaluations:
 
 
 def _check_finite(point: Array, cost: float) -> None:
-    """Refuse a cost that is not finite: by it nothing can be ranked."""
+    """Refuse a cost that is not finite, as it cannot be ranked."""
     if not math.isfinite(cost):
         raise ValueError(f"the cost is {cost} at the point {point.tolist()}")

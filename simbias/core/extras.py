@@ -1,4 +1,4 @@
-"""Libraries that may be missing, or say too much."""
+"""Libraries that may be missing, or log too much."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from simbias.core.messages import words
 
 
 def library(module: str, name: str, extra: str) -> Any:
-    """A module; if it is missing, ValueError, whose line says how to install it."""
+    """Import a module; if it is missing, a ValueError says how to install it."""
     try:
         return import_module(module)
     except ImportError as error:
@@ -23,7 +23,7 @@ def library(module: str, name: str, extra: str) -> Any:
 
 @contextmanager
 def silent(name: str) -> Iterator[None]:
-    """The logger of this name says nothing for a while."""
+    """Silence the logger of this name within the context."""
     logger = logging.getLogger(name)
     level = logger.level
     logger.setLevel(logging.CRITICAL + 1)

@@ -1,4 +1,4 @@
-"""Files that a config names: a relative one is looked for in the folder of configs and beside it."""
+"""Files named in a config: relative paths are looked up in the folder of configs and beside it."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Annotated
 
 from pydantic import AfterValidator, ValidationInfo
 
-FOLDERS = "folders"  # of configs: what the validation of a constructor's arguments is told
+FOLDERS = "folders"  # of configs: key in the context of the validation of a constructor's arguments
 
 
 def find(name: str, folders: Sequence[str]) -> str:
-    """The file or folder of a relative name, absolute; the name itself where no folder of configs has it.
+    """The absolute path of a relative name; the name itself if no folder of configs holds it.
 
     The name is then relative to the working folder.
     """
@@ -23,7 +23,7 @@ def find(name: str, folders: Sequence[str]) -> str:
 
 
 def sought(name: str) -> str:
-    """Where a file of a relative name was looked for in vain, in words that end a message on it."""
+    """Where a file of a relative name was searched in vain, as the end of an error message."""
     if Path(name).is_absolute():
         return ""
     places = f"neither in {Path.cwd()} nor in a folder of configs or beside it"
@@ -31,14 +31,14 @@ def sought(name: str) -> str:
 
 
 def _places(folder: Path) -> Iterator[Path]:
-    """A folder of configs and the one that it lies in: here, or where a cluster's worker has its copy."""
+    """A folder of configs and its parent: here, or where a cluster's worker has its copy."""
     homes = [folder.parent] if folder.is_dir() else map(Path, sys.path)
     for home in homes:
         yield from (home / folder.name, home)
 
 
 def _found(name: str, info: ValidationInfo) -> str:
-    """The file of a name in a config; the name itself where no folders are known, as in an identity."""
+    """The file of a name in a config; the name itself if no folders are known, as for an identity."""
     return find(name, (info.context or {}).get(FOLDERS, ()))
 
 

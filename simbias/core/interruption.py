@@ -1,4 +1,4 @@
-"""Being interrupted, but never in the middle of writing."""
+"""Interruption by signals, but never in the middle of writing."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from contextlib import contextmanager
 from types import FrameType
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-AGAIN = 0.01  # seconds until code that must not raise has ended
+AGAIN = 0.01  # seconds: by then, code that ignores exceptions has returned
 COMPILER = "llvmlite"  # LLVM calls some of its functions, and ignores what they raise
 
 
 class _Deferral:
-    """Holds interruptions back once something has begun that must not be torn apart."""
+    """Holds interruptions back once an operation has begun that must not be torn apart."""
 
     def __init__(self, begun: Callable[[], bool]) -> None:
         self.begun = begun
         self.interrupted = False
 
 
-_deferral: _Deferral | None = None  # of the main thread, which alone hears of signals
+_deferral: _Deferral | None = None  # of the main thread, the only one that receives signals
 
 
 @contextmanager
 def deferred(begun: Callable[[], bool] = lambda: True) -> Iterator[None]:
-    """Inside, nothing is interrupted once `begun` is true; what came meanwhile interrupts at the end.
+    """Defer interruptions within the context, once `begun` is true; they take effect at its end.
 
-    It may lie within another one, which goes on.
+    Contexts may be nested; the outer one then stays in force.
     """
     global _deferral
     if threading.current_thread() is not threading.main_thread() or (_deferral and _deferral.begun()):
@@ -47,11 +47,11 @@ def deferred(begun: Callable[[], bool] = lambda: True) -> Iterator[None]:
 
 
 class Interruption:
-    """Turns SIGINT and SIGTERM into KeyboardInterrupt, later where that would tear something apart.
+    """Turns SIGINT and SIGTERM into KeyboardInterrupt, deferred where it would tear something apart.
 
-    Without a handler SIGTERM ends a process without its `finally`, and leaves workers behind. Python ignores
-    what is raised in finalizers and in functions that C calls; the interruption is then made again. Where a
-    library makes another error of it, as of an interrupted import, it is an interruption still.
+    Without a handler, SIGTERM ends a process without running `finally`, and leaves workers behind. Python
+    ignores exceptions raised in finalizers and in functions called from C; the interruption is then repeated.
+    A library may turn it into another error, such as a failed import; it still counts as an interruption.
     """
 
     def __init__(self) -> None:
@@ -59,7 +59,7 @@ class Interruption:
         self._before: list = []
 
     def __enter__(self) -> Interruption:
-        if threading.current_thread() is threading.main_thread():  # no other hears of signals
+        if threading.current_thread() is threading.main_thread():  # no other receives signals
             self._before = [signal.signal(number, self._handle) for number in SIGNALS]
             self._report, sys.unraisablehook = sys.unraisablehook, self._ignored
         return self
@@ -83,7 +83,7 @@ class Interruption:
             raise KeyboardInterrupt
 
     def _ignored(self, raised: sys.UnraisableHookArgs) -> None:
-        """Interrupt again if that was ignored."""
+        """Interrupt again if the exception was ignored."""
         if raised.exc_type is KeyboardInterrupt:
             _interrupt_soon()
         else:
@@ -91,14 +91,14 @@ class Interruption:
 
 
 def _compiles(frame: FrameType | None) -> bool:
-    """Whether the compiler is at work; it returns every few milliseconds."""
+    """Whether the compiler is running; it returns to Python every few milliseconds."""
     while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] != COMPILER:
         frame = frame.f_back
     return frame is not None
 
 
 def _interrupt_soon() -> None:
-    """Interrupt the main thread after a moment, also where it waits."""
+    """Interrupt the main thread after a moment, even while it waits."""
     if sys.platform == "win32":
         again = threading.Timer(AGAIN, _thread.interrupt_main)
     else:

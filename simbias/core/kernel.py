@@ -1,4 +1,4 @@
-"""Kernels of components for compiled simulations, and the warning where a slower path is taken."""
+"""Kernels of components for compiled simulations, and the warning about slower paths."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 class Kernel(NamedTuple):
     """A component's function in the compiled closed loop: see `simbias.simulation.compiler.kernels`.
 
-    Without one, its method is traced if it is ordinary vectorised NumPy.
+    Without a kernel, the component's method is traced if it is ordinary vectorised NumPy.
     """
 
     function: Callable
-    parameters: Any  # an array; of a bias that works on all lanes, a tuple of arrays
+    parameters: Any  # an array; for a bias that works on all lanes, a tuple of arrays
 
 
 class SlowWarning(UserWarning):
-    """A request works, but slowly; the message says how slowly, and what would be faster."""
+    """Warns that a request works but is slow; the message says how slow, and what would be faster."""

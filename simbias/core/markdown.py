@@ -1,4 +1,4 @@
-"""Words of others in markdown, as MLflow shows it: labels, failures and errors are text, never markup."""
+"""Foreign text in Markdown, as MLflow shows it: labels, failures and errors are text, never markup."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ MARKUP = re.compile(r"[&<>|`*\\]|\](?=[(\[])")  # of HTML, tables, code, emphasi
 
 
 def text(words: str) -> str:
-    """Words on one line, to be read as they are."""
+    """Text on one line, escaped so that it is shown literally."""
     return MARKUP.sub(lambda found: f"&#{ord(found[0])};", " ".join(words.split()))
 
 
 def code(words: str) -> str:
-    """Words on one line as code, in which nothing but its end is markup."""
+    """Text on one line as inline code, in which only the closing mark is markup."""
     return f"`{' '.join(words.split()).replace('`', ' ')}`"
 
 
 def table(head: Sequence[str], body: Iterable[Sequence[str]]) -> str:
-    """A table of words, its columns to the right."""
+    """A Markdown table of texts, its columns aligned right."""
     lines = [map(text, head), ["--:"] * len(head), *(map(text, row) for row in body)]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
 
 
 def cells(lines: str) -> list[list[str]]:
-    """The words of a table, those of its head first."""
+    """The cells of a table, its head first."""
     head, _, *body = lines.splitlines()
     return [[unescape(cell) for cell in line[2:-2].split(" | ")] for line in (head, *body)]

@@ -1,4 +1,4 @@
-"""Messages about errors and any values: text that can be shown, stored and sent."""
+"""Messages about errors and arbitrary values: text that can be shown, stored and sent."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ import traceback
 from urllib.parse import unquote
 
 LONGEST = 300  # characters of a message
-LONGEST_REASON = 500  # of what an error says, where it is kept
+LONGEST_REASON = 500  # of an error's message, where it is stored
 LONGEST_VALUE = 80  # of a value in a message
-SHORTEST_SECRET = 4  # that is looked for in any text
-SECRET = re.compile(r"\b(?!sqlite)(\w+(?:\+\w+)?)://\S*@")  # user and password of an address
+SHORTEST_SECRET = 4  # that is searched for in texts
+SECRET = re.compile(r"\b(?!sqlite)(\w+(?:\+\w+)?)://\S*@")  # user and password in an address
 COLOUR = re.compile(r"\x1b\[[0-9;]*m")  # of a terminal
 SECRET_VALUE = re.compile(r"([?&]\w*(?:password|token|secret|key)\w*=)([^&\s'\"]+)", re.IGNORECASE)
 
 
 def printable(text: str) -> str:
-    """Text in which what cannot be shown or encoded is written as an escape; lines stay lines."""
+    """Text with unprintable characters escaped; line breaks stay."""
     return "".join(
         each if each.isprintable() or each in "\n\t" else each.encode("unicode_escape").decode()
         for each in text
@@ -24,13 +24,13 @@ def printable(text: str) -> str:
 
 
 def brief(text: str, longest: int = LONGEST) -> str:
-    """Text on one line, without its middle if it is long, nor a terminal's colours and other controls."""
+    """Text on one line, without terminal colours and control characters; the middle of a long text is cut."""
     line = printable(re.sub(r"\s*[\r\n\t]\s*", " ", COLOUR.sub("", text).strip()))
     return line if len(line) <= longest else f"{line[: longest // 2 - 2]} ... {line[3 - longest // 2 :]}"
 
 
 def quote(value: object) -> str:
-    """A value as Python writes it, not too long; some values cannot be written, as very large integers."""
+    """The repr of a value, shortened; some values have none, such as very large integers."""
     try:
         return brief(repr(value), LONGEST_VALUE)
     except (Exception, SystemExit):
@@ -38,7 +38,7 @@ def quote(value: object) -> str:
 
 
 def redact(text: str, address: str = "") -> str:
-    """Text without users, passwords and tokens of addresses; also without those of a known address."""
+    """Text without users, passwords and tokens in addresses; also without those of a known address."""
     login = re.match(r"(?!sqlite)[^:]*://(.*)@", address, re.DOTALL)
     # A parser may take the password to end at the last @, or at one of these.
     ends = [login[1], re.split("[/?#]", login[1])[0]] if login else []
@@ -50,12 +50,12 @@ def redact(text: str, address: str = "") -> str:
 
 
 def counted(count: int, noun: str) -> str:
-    """A number of things."""
+    """A count with its noun, in the plural if needed."""
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 def words(error: BaseException, longest: int = LONGEST_REASON) -> str:
-    """The message of an error, shortened, or its type if it has none; some messages cannot even be read."""
+    """The message of an error, shortened, or its type if it has none; some messages cannot be read at all."""
     try:
         return brief(str(error), longest) or type(error).__name__
     except (Exception, SystemExit):
@@ -63,7 +63,7 @@ def words(error: BaseException, longest: int = LONGEST_REASON) -> str:
 
 
 def with_type(error: BaseException, longest: int = LONGEST_REASON) -> str:
-    """An error's type and what it says."""
+    """An error's type and message."""
     name, said = type(error).__name__, words(error, longest)
     return name if said == name else f"{name}: {said}"
 

@@ -15,30 +15,30 @@ from simbias.core.policy import Policy
 from simbias.core.records import Array, Rollout, Selection, Transitions
 from simbias.core.robot import Task
 
-MOST_DRAWS = 1000  # of parameters, until a robot may have them
+MOST_DRAWS = 1000  # of parameters, before giving up on finding feasible ones
 
 
 class Nominal(ABC):
     """The simulation model f' (Section IV-A).
 
-    A model of what the state does not show, as an actuator's lag or a delay, keeps it in its own state,
-    which is zero at the start of a rollout (`simbias.simulation.actuator`), not of its parts
-    (`Rollout.with_history`). Its bias is a function of the commanded input (Eq. 2), or of the one that acts,
-    where the model state keeps that.
+    Effects that the state does not show, such as an actuator's lag or a delay, are kept in a model state. It
+    is zero at the start of a rollout (`simbias.simulation.actuator`), but not at the start of a part of one
+    (`Rollout.with_history`). The bias is a function of the commanded input (Eq. 2) or, if the model state
+    keeps it, of the input that acts.
     """
 
     kernel: Kernel | None = None
     parameters: tuple[Parameter, ...] = ()  # those that are not known exactly
     state_size: int = 0  # s, of the model state
-    acting: tuple[int, ...] = ()  # rows of the model state that keep the input that acted; none: see `acted`
+    acting: tuple[int, ...] = ()  # entries of the model state that keep the acting input; see `acted`
     estimates: Sequence[Estimate] = ()  # what has been identified
-    diagnostics: Mapping[str, float] = MappingProxyType({})  # what the identification says of its fit
+    diagnostics: Mapping[str, float] = MappingProxyType({})  # of the identification's fit
 
     @abstractmethod
     def step(self, x: Array, u: Array) -> Array:
         """x_next (..., n) = x + f'(x, u), one time step after x (..., n) under u (..., m) (Eq. 1).
 
-        Of a model with a state of its own: as if u had acted for long.
+        A model with a model state steps as if u had been constant for long.
         """
 
     def advance(self, x: Array, u: Array, model_state: Array) -> tuple[Array, Array]:
@@ -46,11 +46,11 @@ class Nominal(ABC):
         return self.step(x, u), model_state
 
     def acted(self, u: Array, model_state: Array) -> Array:
-        """Input (..., m) that a bias is a function of: u, or what acted in the frame that left this state."""
+        """Input (..., m) that a bias depends on: u, or what acted in the frame that led to this state."""
         return model_state[..., self.acting] if self.acting else u
 
     def model_states(self, states: Array, inputs: Array) -> Array:
-        """Model states (k, s) in each frame of a record: of its states (k, n) and inputs (k, m)."""
+        """Model states (k, s) in each frame of a record with states (k, n) and inputs (k, m)."""
         kept, model_state = np.zeros((len(inputs), self.state_size)), np.zeros(self.state_size)
         for t in range(len(inputs) if self.state_size else 0):
             kept[t] = model_state
@@ -60,14 +60,14 @@ class Nominal(ABC):
     def along(self, states: Array, inputs: Array) -> Array:
         """x_next (k, n) predicted from each state (k, n) of a recorded rollout under its inputs (k, m).
 
-        What the states do not show is simulated from the inputs that came before.
+        Model states, which are not recorded, are simulated from the earlier inputs.
         """
         if not self.state_size:
             return self.step(states, inputs)
         return self.advance(states, inputs, self.model_states(states, inputs))[0]
 
     def acted_along(self, states: Array, inputs: Array) -> Array:
-        """Inputs (k, m) that a bias is a function of, along a recorded rollout: see `along`, `acted`."""
+        """Inputs (k, m) that a bias depends on, along a recorded rollout: see `along`, `acted`."""
         if not self.acting:
             return inputs
         return self.acted(inputs, self.advance(states, inputs, self.model_states(states, inputs))[1])
@@ -75,7 +75,7 @@ class Nominal(ABC):
     def with_parameters(self, values: Array) -> Nominal:
         """The model with other values (k,) of its `parameters`, in their units.
 
-        Its own `parameters` are the same priors, or have these values.
+        The returned model's `parameters` keep their priors, or are at these values.
         """
         raise NotImplementedError(f"{type(self).__name__} has parameters, but no `with_parameters`")
 
@@ -85,19 +85,19 @@ class Nominal(ABC):
 
     @property
     def slack(self) -> Array:
-        """How far (c,) each condition on its parameters is from being broken; below 0, no robot has them."""
+        """Slack (c,) of each constraint on the parameters; below 0, no robot can have them."""
         return np.empty(0)
 
     def without_dry_friction(self) -> Nominal:
-        """The model as it is while its joints slide: at rest, dry friction is steeper than any damping."""
+        """The model without dry friction, which is steeper at rest than any damping."""
         return self
 
     def without_input_limits(self) -> Nominal:
-        """The model that takes any input: motors before it may give more than is commanded."""
+        """The model without input limits: a motor model in front of it may exceed the commanded input."""
         return self
 
     def draw(self, rng: np.random.Generator) -> Nominal:
-        """A model that might be the right one, as far as its parameters are known; this one if they are."""
+        """A model with parameters drawn from what is known of them; this model if they are known exactly."""
         if not self.parameters:
             return self
         return drawn(
@@ -106,14 +106,14 @@ class Nominal(ABC):
         )[1]
 
     def narrowed(self, scale: float) -> Nominal:
-        """The model, its draws deviating `scale` times as much; itself if it cannot narrow them."""
+        """The model with deviations of draws scaled by `scale`; the model itself if it cannot scale them."""
         return self
 
 
 def drawn(draw: Callable[[], Array], at: Callable[[Array], Nominal]) -> tuple[Array, Nominal]:
-    """Coordinates of parameters, and the model at them: the first that are drawn of a robot that may be.
+    """Coordinates of parameters, and the model at them: the first draw that is physically feasible.
 
-    ValueError if none of many is.
+    ValueError if none of many draws is.
     """
     for _ in range(MOST_DRAWS):
         z = draw()
@@ -124,15 +124,15 @@ def drawn(draw: Callable[[], Array], at: Callable[[Array], Nominal]) -> tuple[Ar
 
 
 class Identification(ABC):
-    """Identification of the nominal model's parameters, before a bias is learned of the residuals."""
+    """Identification of the nominal model's parameters, before a bias is learned from the residuals."""
 
     @abstractmethod
     def fit(self, nominal: Nominal, rollouts: Sequence[Rollout]) -> Nominal:
-        """The model at the parameters' most probable values, whose `draw` draws from their posterior.
+        """The model at the posterior mode of its parameters; its `draw` samples from the posterior.
 
-        `nominal.parameters` are the prior, the rollouts all hardware experiments of a trial, also those that
-        failed. Without rollouts or parameters it is the nominal model itself, or that model with the motors
-        and sensors whose parameters are uncertain.
+        `nominal.parameters` hold the prior. The rollouts are all hardware experiments of a trial, including
+        failed ones. Without rollouts or parameters, the result is the nominal model itself, or that model
+        with the motors and sensors whose parameters are uncertain.
         """
 
 
@@ -141,7 +141,7 @@ class Samples(ABC):
 
     @abstractmethod
     def select(self, rollouts: Sequence[Rollout], nominal: Nominal) -> Selection:
-        """Transitions worth learning from, with their residuals against the nominal model (Eq. 6)."""
+        """Select transitions worth learning from, with their residuals against the nominal model (Eq. 6)."""
 
 
 class Bias(ABC):
@@ -152,7 +152,7 @@ class Bias(ABC):
         """Learn from the data, which are read-only; without data the bias is zero everywhere."""
 
     def learn(self, transitions: Transitions, rollouts: Sequence[Rollout], nominal: Nominal) -> FittedBias:
-        """Learn from the data, or from the rollouts and the (identified) nominal model that it comes from."""
+        """Learn from the data, or from their source: the rollouts and the (identified) nominal model."""
         return self.fit(transitions)
 
 
@@ -160,7 +160,7 @@ class FittedBias(ABC):
     """The learned dynamics bias g_D."""
 
     kernel: Kernel | None = None
-    diagnostics: Mapping[str, float] = MappingProxyType({})  # what the learner says of its fit
+    diagnostics: Mapping[str, float] = MappingProxyType({})  # of the learner's fit
 
     @abstractmethod
     def predict(self, inputs: Array) -> tuple[Array, Array]:
@@ -171,13 +171,13 @@ class FittedBias(ABC):
         """The correction of the nominal step at x (..., n), u (..., m): the last term (..., n) of Eq. 7."""
 
     def draw(self, rng: np.random.Generator) -> FittedBias:
-        """A bias that might be the right one, as far as the data tells; this one if it does not say."""
+        """A bias drawn from the posterior given the data; this bias if it has no posterior."""
         return self
 
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """The corrected simulation model of Eq. 7, and the task and policy that close its loop."""
+    """The corrected simulation model of Eq. 7, with the task and the policy that close the loop."""
 
     task: Task
     policy: Policy

@@ -1,4 +1,4 @@
-"""Objectives of policy searches: the cost of each of some policies."""
+"""Objectives of policy searches: the costs of policies."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from simbias.core.records import Array
 
 
 class Objective(ABC):
-    """The deterministic objective of a policy search. A plain function of theta (p,) will do, too."""
+    """The deterministic objective of a policy search; a plain function of theta (p,) may take its place."""
 
     steps: int = 0  # simulated so far, for searches that are limited by them
-    lockstep: bool = True  # whether the costs of many policies together take less time than one by one
-    fresh: bool = False  # whether `rank` draws scenarios of its own
-    first_stage: Objective | None = None  # an easier one, at whose optimum a search of this one begins
+    lockstep: bool = True  # whether evaluating many policies together is faster than one by one
+    fresh: bool = False  # whether `rank` draws new scenarios at each call
+    first_stage: Objective | None = None  # an easier objective; a search of this one begins at its optimum
 
     @abstractmethod
     def together(self, thetas: Array) -> Array:
         """Costs (k,) of thetas (k, p)."""
 
     def rank(self, thetas: Array) -> Array:
-        """Costs (k,) that rank thetas (k, p) among each other; of another call's, fresh ones tell nothing."""
+        """Costs (k,) that rank thetas (k, p); fresh ones are comparable only within one call."""
         return self.together(thetas)
 
     def __call__(self, theta: Array) -> float:
@@ -41,16 +41,16 @@ class OneByOne(Objective):
 
     @property
     def steps(self) -> int:  # type: ignore[override]
-        """Simulated so far, if the function counts them."""
+        """Steps simulated so far, if the function counts them."""
         return getattr(self._function, "steps", 0)
 
     def together(self, thetas: Array) -> Array:
-        """Costs (k,) of thetas (k, p), in turn."""
+        """Costs (k,) of thetas (k, p), evaluated one by one."""
         return np.array([float(self._function(theta)) for theta in thetas])
 
 
 class Mapped(Objective):
-    """Another objective's costs, each time changed by a function of thetas (k, p) and costs (k,)."""
+    """Another objective's costs, transformed by a function of thetas (k, p) and costs (k,)."""
 
     def __init__(
         self, objective: Callable[[Array], float], function: Callable[[Array, Array], Array]
@@ -61,7 +61,7 @@ class Mapped(Objective):
 
     @property
     def steps(self) -> int:  # type: ignore[override]
-        """Simulated so far."""
+        """Steps simulated so far."""
         return self._objective.steps
 
     def together(self, thetas: Array) -> Array:
@@ -69,10 +69,10 @@ class Mapped(Objective):
         return self._function(thetas, self._objective.together(thetas))
 
     def rank(self, thetas: Array) -> Array:
-        """Costs (k,) that rank thetas (k, p) among each other."""
+        """Costs (k,) that rank thetas (k, p)."""
         return self._function(thetas, self._objective.rank(thetas))
 
 
 def as_objective(function: Callable[[Array], float]) -> Objective:
-    """The function itself if it is an objective."""
+    """Wrap a plain function as an objective; an objective is returned unchanged."""
     return function if isinstance(function, Objective) else OneByOne(function)

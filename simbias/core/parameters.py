@@ -1,7 +1,7 @@
-"""Physical parameters that are not known exactly, and what is known of them: independent priors.
+"""Physical parameters that are not known exactly, and their independent priors.
 
-Each prior is a monotonic function of a standard normal variable, its coordinate. So a prior is drawn from by
-drawing coordinates, and a posterior that is normal in the coordinates respects every bound.
+Each parameter is a monotonic function of a standard normal variable, its coordinate. Drawing coordinates thus
+draws from the prior, and a posterior that is normal in the coordinates respects every bound.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from simbias.core.records import Array
 
-LARGEST = 100.0  # exponent: a search for the mode may come by where a parameter would overflow
+LARGEST = 100.0  # exponent: a search for the mode may pass points where a parameter would overflow
 FARTHEST = 37.0  # coordinate of a half-normal: beyond, its tail underflows, and the parameter is infinite
 
 Prior = Literal["normal", "log_normal", "half_normal", "uniform"]
@@ -23,8 +23,8 @@ class Parameter(NamedTuple):
     """A physical parameter and its prior.
 
     The declared value is the median of `normal` and `log_normal`, and the lower end of `half_normal` and
-    `uniform`. The spread is a standard deviation (of the logarithm, if `log_normal`; of the whole normal
-    whose upper half it is, if `half_normal`), or the width if `uniform`.
+    `uniform`. The spread is a standard deviation (of the logarithm, if `log_normal`; of the underlying normal
+    distribution, if `half_normal`), or the width if `uniform`.
     """
 
     name: str
@@ -32,7 +32,7 @@ class Parameter(NamedTuple):
     value: float
     spread: float
     prior: Prior = "normal"
-    of_recording: bool = False  # another value in each recording, as of an encoder's zero
+    of_recording: bool = False  # whether its value differs between recordings, like an encoder's zero
 
     def at(self, coordinate: Array | float) -> Array:
         """Values (...) at coordinates (...)."""
@@ -51,9 +51,9 @@ class Parameter(NamedTuple):
 def uncertain(
     values: Mapping[str, float], units: Mapping[str, str], uncertainty: Mapping[str, float]
 ) -> tuple[Parameter, ...]:
-    """Those of some values that are uncertain: log-normal or, where a value is zero, half-normal.
+    """Parameters for the uncertain ones among some values: log-normal, or half-normal where a value is zero.
 
-    ValueError if none of the values has a name.
+    ValueError if an uncertain name is not among the values.
     """
     for name in uncertainty:
         if name not in values:
@@ -67,7 +67,7 @@ def uncertain(
 def replaced(
     numbers: Array, names: Iterable[str], first: int, parameters: Sequence[Parameter], values: Array
 ) -> Array:
-    """A copy of numbers, named so from place `first` on, with other values (k,) of parameters."""
+    """A copy of numbers, named from index `first` on, in which parameters have new values (k,)."""
     places = {name: place for place, name in enumerate(names, start=first)}
     changed = numbers.copy()
     changed[[places[parameter.name] for parameter in parameters]] = values
@@ -86,6 +86,6 @@ class Estimate(NamedTuple):
     name: str
     unit: str
     declared: float
-    value: float  # the most probable one
+    value: float  # the most probable value
     low: float  # 5% quantile
     high: float  # 95% quantile

@@ -1,4 +1,4 @@
-"""The platform on which a result depends, to its last bits: processor, linear algebra, simbias's code."""
+"""The platform that determines a result's last bits: processor, linear algebra, simbias's code."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from typing import Any
 
 from simbias.core.digest import short_digest
 
-# Vector instructions by which sums are ordered, and fused products: another set, other last bits.
+# Vector instructions and fused products determine the order of sums, and thus the last bits.
 FEATURES = ("fma", "avx", "avx2", "avx512f", "neon", "sve")
 PACKAGE = Path(__file__).resolve().parent.parent
 
 
 @cache
 def kind() -> str:
-    """The processor that code is compiled for and its kernels of linear algebra, in one line.
+    """The processor that code is compiled for and the linear algebra kernels, in one line.
 
-    On machines of one kind, the same trial has the same bits. It is what Numba, NumPy and OpenBLAS found, so
-    also what NUMBA_CPU_NAME or OPENBLAS_CORETYPE made of it.
+    On machines of one kind, the same trial gives the same bits. The line states what Numba, NumPy and
+    OpenBLAS detected, including overrides by NUMBA_CPU_NAME or OPENBLAS_CORETYPE.
     """
     import numpy as np
-    import scipy.linalg  # noqa: F401  (brings a BLAS of its own)
+    import scipy.linalg  # noqa: F401  (it has its own BLAS)
     from threadpoolctl import threadpool_info
 
     name, features = _target()
@@ -37,11 +37,11 @@ def kind() -> str:
 
 
 def _target() -> tuple[str, list[str]]:
-    """The processor that Numba compiles for, and its features, each with a sign."""
+    """The processor that Numba compiles for, and its features, each with a sign: + present, - absent."""
     import numba
     from llvmlite import binding
 
-    config: Any = numba.config  # of the environment
+    config: Any = numba.config  # set by the environment
     if config.CPU_FEATURES is not None:
         features = config.CPU_FEATURES.split(",")
     else:
@@ -62,7 +62,7 @@ def processor() -> str:
 
 @cache
 def package_digest() -> str:
-    """A hash of simbias's own code, by which another version is known; compiled loops are kept beside it."""
+    """A hash of simbias's own code, which identifies its version; caches beside the code are left out."""
     files = sorted(file for file in PACKAGE.rglob("*.py") if "__pycache__" not in file.parts)
     named = [f"{file.relative_to(PACKAGE).as_posix()}\0".encode() + file.read_bytes() for file in files]
     return short_digest(b"".join(named))

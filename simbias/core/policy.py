@@ -1,4 +1,4 @@
-"""Policies: feedback laws whose parameters are searched, and the controller that runs them."""
+"""Policies: feedback laws with searched parameters, and the controller that runs a policy."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ if TYPE_CHECKING:
 
 
 class Law(NamedTuple):
-    """A policy in words and numbers, as a request to a lab says it."""
+    """A policy in words and numbers, for requests to a lab."""
 
-    words: str  # as u = H z
-    numbers: Mapping[str, Array]  # what the words name, in the task's units
+    words: str  # for example, u = H z
+    numbers: Mapping[str, Array]  # the symbols in the words, in the task's units
 
 
 class Policy(ABC):
-    """The feedback law whose parameters theta are searched.
+    """A feedback law with parameters theta, which are searched.
 
-    A law with a filter, an integral or a delay keeps what it needs in its own state, zero at the start.
+    A law with a filter, an integral or a delay has a policy state, which is zero at the start.
     """
 
     n_parameters: int
@@ -35,21 +35,21 @@ class Policy(ABC):
     def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
         """Inputs u (..., m) within the task's limits, and the policy state (..., s) for the next frame.
 
-        theta (..., p), (measured) states x (..., n), time t in s since the start. Most laws ignore the time
-        and return the policy state as it came.
+        Arguments: theta (..., p), (measured) states x (..., n), time t in s since the start. Most laws ignore
+        the time and return the policy state unchanged.
         """
 
     def designed_on(self, nominal: Nominal) -> Self:
-        """The policy, what it takes from the model being that of this one, as identified; by default itself.
+        """The policy with its model-based parts redesigned on this (identified) model; by default itself.
 
-        Its parameters keep number and meaning.
+        The number and meaning of its parameters stay.
         """
         return self
 
     def imitating(self, states: Array, inputs: Array) -> Array | None:
-        """The parameters (p,) that come nearest to inputs (k, T, m) at states (k, T, n); None: not known.
+        """The parameters (p,) that best imitate inputs (k, T, m) at states (k, T, n); None if unsupported.
 
-        These are k records of T frames, of inputs that know more than the policy may.
+        There are k records of T frames; their inputs may use more information than the policy has.
         """
         return None
 
@@ -62,16 +62,16 @@ class Policy(ABC):
         return None
 
     def law(self, theta: Array) -> Law:
-        """The policy theta (p,) for people and programs without simbias, as far as it can be said."""
+        """The policy theta (p,) for people and programs without simbias, as far as it can be written down."""
         return Law(f"u = {type(self).__name__}.act(theta, x, t, policy_state)", {"theta": theta})
 
     def controller(self, theta: Array, time_step: float) -> Controller:
-        """The policy theta (p,) as a robot's control loop runs it: once a frame of `time_step` s."""
+        """The policy theta (p,) as a controller for a control loop, called once a frame of `time_step` s."""
         return Controller(self, theta, time_step)
 
 
 class Controller:
-    """A policy in a control loop: u (m,) = controller(x), called once a frame; it keeps time and state."""
+    """A policy in a control loop: u (m,) = controller(x), called once a frame; it tracks time and state."""
 
     def __init__(self, policy: Policy, theta: Array, time_step: float) -> None:
         self._policy = policy
@@ -81,8 +81,8 @@ class Controller:
         self.policy_state = np.zeros(policy.state_size)
 
     def __call__(self, x: Array) -> Array:
-        """Input u (m,) at the (measured) state x (n,), numbers of any kind, of the next frame."""
-        time, own = self._frame * self._time_step, np.array(x, dtype=np.float64)  # it may write into its own
+        """Input u (m,) of the next frame, at the (measured) state x (n,), given as numbers of any type."""
+        time, own = self._frame * self._time_step, np.array(x, dtype=np.float64)  # its own copy
         u, self.policy_state = self._policy.act(self._theta, own, time, self.policy_state)
         self._frame += 1
         return u

@@ -1,4 +1,4 @@
-"""Shares that were counted, k of n, with their confidence intervals."""
+"""Observed shares, k of n, with their confidence intervals."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ class Interval(NamedTuple):
 
 
 def wilson(k: float, n: int, confidence: float = CONFIDENCE) -> Interval:
-    """The score interval of a share of which k of n were seen (E. B. Wilson, JASA 22, 1927); nan if n is 0.
+    """Wilson's score interval of a share k / n (E. B. Wilson, JASA 22, 1927); nan if n is 0.
 
-    Its coverage is near the confidence on average over shares.
+    Averaged over shares, its coverage is close to the confidence.
     """
     if not n:
         return Interval(np.nan, np.nan)
@@ -41,14 +41,14 @@ def clopper_pearson(k: int, n: int, confidence: float = CONFIDENCE) -> Interval:
     tail = (1 - confidence) / 2
     if k in (0, n):
         return Interval(tail ** (1 / n), 1.0) if k else Interval(0.0, 1 - tail ** (1 / n))
-    from scipy.special import betaincinv  # lazily: workers whose policies pass do without it
+    from scipy.special import betaincinv  # lazily: workers whose policies pass do not need it
 
     low, high = betaincinv(k, n - k + 1, tail), betaincinv(k + 1, n - k, 1 - tail)
     return Interval(float(low), float(high))
 
 
 def passes_needed(share: float, error: float) -> int:
-    """The fewest passes in a row that refute a share of at most `share`, with this probability of error.
+    """The fewest passes in a row that refute a share of at most `share`, at this probability of error.
 
     After n passes without a failure, the exact one-sided bound is error^(1/n).
     """

@@ -18,8 +18,8 @@ class Quantity(NamedTuple):
 
     name: str
     unit: str
-    kind: str = ""  # what it shares with others, so that noise can be declared of all at once: "angle"
-    wraps: bool = False  # whether it is an angle that is the same after a turn
+    kind: str = ""  # common to several, so that noise can be declared for all at once: "angle"
+    wraps: bool = False  # whether it is an angle modulo one turn
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -28,17 +28,17 @@ class Quantity(NamedTuple):
 
     @property
     def is_rate(self) -> bool:
-        """Whether it is a velocity, by its unit."""
+        """Whether its unit is that of a velocity."""
         return self.unit.endswith(RATE)
 
     @property
     def turn(self) -> float:
-        """A turn in the unit of what wraps; 0 of what does not."""
+        """One full turn in the quantity's unit; 0 if it does not wrap."""
         return TURNS[self.unit] if self.wraps else 0.0
 
 
 def wrapped(differences: Array, quantities: Sequence[Quantity]) -> Array:
-    """Differences (..., k) of quantities; of those that wrap, within half a turn."""
+    """Differences (..., k) of quantities; those that wrap are brought within half a turn."""
     turns = np.array([quantity.turn for quantity in quantities])
     if not turns.any():
         return differences
@@ -47,7 +47,7 @@ def wrapped(differences: Array, quantities: Sequence[Quantity]) -> Array:
 
 
 def unwound(values: Array, quantities: Sequence[Quantity]) -> Array:
-    """Values (k, q) of quantities, those that wrap without jumps by a turn."""
+    """Values (k, q) of quantities, with jumps by a turn removed from those that wrap."""
     whole = values.copy()
     for column, quantity in zip(whole.T, quantities, strict=True):
         if quantity.wraps:
@@ -62,9 +62,9 @@ def by_quantity(
     refusal: str,
     suffix: str = "",
 ) -> Array:
-    """The value (k,) of each of k quantities: by its own name or else by its kind, and a suffix.
+    """Values (k,) of k quantities, each looked up by its name or else by its kind, with a suffix.
 
-    ValueError if a name is of none of them: the refusal, that name, and those that there are.
+    ValueError if a name belongs to none of them; it states the refusal, that name and all known names.
     """
     names = [[name + suffix for name in quantity.names] for quantity in quantities]
     known = dict.fromkeys(name for own in names for name in own)
@@ -75,10 +75,10 @@ def by_quantity(
 
 
 def rate_pairs(quantities: Sequence[Quantity]) -> list[tuple[int, int]]:
-    """Places of positions and of their rates, which have the position's unit per second.
+    """Index pairs of positions and their rates, which have the position's unit per second.
 
-    Of several, a rate's name begins or ends with its position's; if names do not tell, they are in the same
-    order.
+    If several have the same unit, a rate's name begins or ends with its position's name; failing that,
+    positions and rates are paired in order.
     """
     pairs: list[tuple[int, int]] = []
     for unit in {quantity.unit for quantity in quantities}:
@@ -95,15 +95,15 @@ def rate_pairs(quantities: Sequence[Quantity]) -> list[tuple[int, int]]:
 
 
 def _longest_within(name: str, others: Sequence[str]) -> str:
-    """The longest of others that a name begins or ends with; "" if there is none."""
+    """The longest of the others with which a name begins or ends; "" if there is none."""
     within = (each for each in others if name.startswith(each) or name.endswith(each))
     return max(within, key=len, default="")
 
 
 def rates_and_positions(quantities: Sequence[Quantity]) -> tuple[Indices, Indices]:
-    """Places (n / 2,) of rates, and of what they are the rates of.
+    """Indices (n / 2,) of the rates and of their positions.
 
-    ValueError if a quantity is neither, and the names of all these.
+    ValueError, with their names, if some quantities are neither.
     """
     pairs = np.array(rate_pairs(quantities), dtype=np.intp).reshape(-1, 2)
     if other := [quantity.name for i, quantity in enumerate(quantities) if np.sum(pairs == i) != 1]:

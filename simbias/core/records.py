@@ -17,24 +17,24 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-MEMORY = 1000  # frames, after which the model state is that of a steady input
+MEMORY = 1000  # frames of a constant input that bring a model state to its steady value
 
 
 @dataclass(frozen=True, eq=False)
 class Rollout:
     """One run of a policy, in simulation or on hardware, up to its failure or to the horizon T."""
 
-    states: Array  # (k+1, n) recorded states x_0 .. x_k; k = T, or the failing frame
+    states: Array  # (k+1, n) recorded states x_0 .. x_k; k = T, or the frame of the failure
     inputs: Array  # (k, m) commanded inputs u_0 .. u_{k-1}
-    failed_at: int | None = None  # t_fail of Eq. 8: the frame that failed, or after which an engine blew up
-    failure: str | None = None  # name of the criterion of Section IV-C that failed
+    failed_at: int | None = None  # t_fail of Eq. 8: the failing frame, or the last before an engine diverged
+    failure: str | None = None  # name of the violated criterion (Section IV-C)
     cost: float = math.nan  # Z of Eq. 8; nan until a cost has judged the rollout
-    measured: Array | None = None  # (k+1, n) what the sensors said; None where nothing was sensed
-    sensed: bool = False  # whether the recorded states are these, as on a real robot; else the true ones
+    measured: Array | None = None  # (k+1, n) the sensors' readings; None without sensors
+    sensed: bool = False  # whether `states` are these readings, as on a real robot; else the true states
     parameters: Array = field(default_factory=lambda: np.empty(0))  # (p,); set by the study that ran it
-    source: str | None = None  # the file that a person put, if it was read from one
-    earlier: Rollout | None = None  # what its recording holds before it
-    continues: bool = False  # whether it follows a gap in a recording: an input had acted which nobody knows
+    source: str | None = None  # the file it was read from, if a person provided it
+    earlier: Rollout | None = None  # the part of its recording before it
+    continues: bool = False  # whether it follows a gap in a recording: earlier inputs are unknown
 
     @property
     def frames(self) -> int:
@@ -56,7 +56,7 @@ class Rollout:
         )
 
     def of_states(self, n: int) -> Rollout:
-        """The rollout with the first n of its states alone."""
+        """The rollout with only the first n states."""
         if n == self.states.shape[1]:
             return self
         measured = None if self.measured is None else self.measured[:, :n]
@@ -64,9 +64,9 @@ class Rollout:
         return replace(self, states=self.states[:, :n], measured=measured, earlier=earlier)
 
     def with_history(self) -> tuple[Array, Array]:
-        """States (h+k+1, n) and inputs (h+k, m), from h frames before it on, as far back as models remember.
+        """States (h+k+1, n) and inputs (h+k, m), including h earlier frames, as many as models remember.
 
-        After a gap, its first input is taken for what had acted; at rest, and without a gap, nothing had.
+        After a gap, its first input is assumed to have acted before. Without a gap, no input acted before.
         """
         states, inputs = self.states, self.inputs
         if self.earlier is not None:
@@ -82,20 +82,20 @@ class Rollout:
 class Disturbance:
     """Noise on one simulated rollout, frame by frame."""
 
-    inputs: Array  # (T, m) added to what acts on the model
-    sensors: Array  # (T+1, n) added to what the policy sees
+    inputs: Array  # (T, m) added to the inputs that act on the model
+    sensors: Array  # (T+1, n) added to the states that the policy sees
 
 
 @dataclass(frozen=True, eq=False)
 class Transitions:
-    """Training data D of the dynamics bias (Section IV-C), in the task's units; nothing may write into it."""
+    """Training data D of the dynamics bias (Section IV-C), in the task's units; read-only."""
 
-    inputs: Array  # (N, n+m) x~_t = (x_{t-1}, u_{t-1}), u what acted (`Nominal.acted`)
+    inputs: Array  # (N, n+m) x~_t = (x_{t-1}, u_{t-1}), u the acting input (`Nominal.acted`)
     residuals: Array  # (N, n) Delta_t of Eq. 6
 
     def __post_init__(self) -> None:
         for array in (self.inputs, self.residuals):
-            array.flags.writeable = False  # they are recorded, and learned from again
+            array.flags.writeable = False  # the data are recorded, and reused for learning
 
     def __len__(self) -> int:
         return len(self.inputs)
@@ -120,8 +120,8 @@ class Selection:
     transitions: Transitions
     frames: int  # transitions that the rollouts hold
     sampled: int  # those left after downsampling
-    rejected: Mapping[str, int]  # criterion -> how many of the sampled ones it rejected
-    note: str = ""  # what else a person should know where nothing was sampled
+    rejected: Mapping[str, int]  # criterion -> number of sampled transitions that it rejected
+    note: str = ""  # explains to a person why nothing was sampled
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,20 +150,20 @@ class Learning:
     selection: Selection  # D_i
     data: Transitions  # D afterwards
     reset: bool = False  # whether D was cleared before
-    log_likelihoods: Mapping[str, float] = field(default_factory=dict)  # of each model variant, if any, nats
+    log_likelihoods: Mapping[str, float] = field(default_factory=dict)  # nats, of each model variant, if any
 
 
 @dataclass(frozen=True, eq=False)
 class Iteration:
-    """One pass through the loop of a method, with those parts that the method has."""
+    """One pass through the loop of a method, with the parts that the method has."""
 
     index: int  # i, from 0
-    parameters: Array  # (p,) the policy that it arrived at
-    experiments: tuple[Rollout, ...]  # line 9; of several policies, where a method tries several
+    parameters: Array  # (p,) the policy that it ended with
+    experiments: tuple[Rollout, ...]  # line 9; with several policies, if the method tries several
     hardware_cost: float  # Z_r of that policy: the maximum over its experiments
     succeeded: bool  # line 10
     total_experiments: int  # hardware experiments of the trial so far
-    model: Model | None = None  # the simulation that its policy was made on, by a search or without
+    model: Model | None = None  # the simulation model that its policy was searched or designed on
     search: Search | None = None
     learning: Learning | None = None
     seconds: Mapping[str, float] = field(default_factory=dict)  # wall time of each phase

@@ -1,4 +1,4 @@
-"""The task of a robot, and the hardware that makes experiments."""
+"""The task of a robot, and the hardware that runs experiments."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from simbias.core.policy import Policy
 from simbias.core.quantities import TURNS, Quantity, wrapped
 from simbias.core.records import Array, Indices, Rollout
 
-NOT_A_NUMBER = "not_a_number"  # the failure of a state that is not finite and violates no criterion
+NOT_A_NUMBER = "not_a_number"  # failure name of a non-finite state that violates no criterion
 
 
 class HardwareError(RuntimeError):
-    """The hardware could not carry out an experiment; a robot that falls is no error but a failure.
+    """The hardware could not carry out an experiment; a robot that falls is a failure, not an error.
 
-    What it `returned` in place of a rollout is kept: the robot may have moved.
+    `returned` keeps what the hardware returned instead of a rollout: the robot may have moved.
     """
 
     def __init__(self, problem: str, returned: Any = None) -> None:
@@ -33,17 +33,17 @@ class Waiting(Exception):  # noqa: N818 (no error: a lab takes its time)
 
 
 class Criterion(NamedTuple):
-    """A failure criterion of Section IV-C: x fails where its measure is above the limit."""
+    """A failure criterion (Section IV-C): a state fails if its measure exceeds the limit."""
 
     name: str
     words: str
     limit: float
     unit: str
-    bounds: Mapping[str, float] = MappingProxyType({})  # state -> |state| that it allows, whatever the others
+    bounds: Mapping[str, float] = MappingProxyType({})  # state -> largest |state|, whatever the others
 
 
 class Push(NamedTuple):
-    """Pushes on an input during an episode: Gaussian pulses at random times, of either sign."""
+    """Random pushes on an input during an episode: Gaussian pulses of either sign at random times."""
 
     input: int
     pulses: int
@@ -52,7 +52,7 @@ class Push(NamedTuple):
 
 
 def check_quantities(task: Task) -> None:
-    """ValueError if columns of a recording do not tell quantities apart, or an angle has an unknown turn."""
+    """Raise ValueError if two columns of a recording have one name, or an angle's unit is unknown."""
     names = ["time", *(each.name for each in (*task.states, *task.inputs)), "failure"]
     if twice := [name for i, name in enumerate(names) if name in names[:i]]:
         raise ValueError(f"{twice[0]}: two of time, states, targets, inputs and failure have this name")
@@ -63,16 +63,16 @@ def check_quantities(task: Task) -> None:
 
 
 def failure_name(criteria: Sequence[Criterion], index: int) -> str:
-    """The name of a violated criterion, or of a state that is not finite and violates none."""
+    """The name of a violated criterion, or of the failure of a non-finite state that violates none."""
     return criteria[index].name if index < len(criteria) else NOT_A_NUMBER
 
 
 class Task(ABC):
-    """A task: quantities, time, limits, starts, goal, success and failure; no dynamics.
+    """A task: quantities, time, limits, starts, goal, success and failure, but no dynamics.
 
-    The goal is where `aim` is to be at each time, `reference`: by default all states, at zero. Targets are
-    drawn with the start and stay as they are: task, policy and cost know them exactly. Models, hardware and
-    what learns are of the robot alone (`without_targets`).
+    The goal is that `aim` equals `reference` at each time: by default, all states are zero. Targets are drawn
+    with the start and stay constant; task, policy and cost know them exactly. Models, hardware and learners
+    handle the robot alone (`without_targets`).
     """
 
     states: tuple[Quantity, ...]  # n, those of the robot, then the targets
@@ -86,16 +86,16 @@ class Task(ABC):
     start_mean: Array  # (n,)
     start_deviation: Array  # (n,)
     pushes: tuple[Push, ...] = ()  # on inputs, in simulation and on simulated hardware
-    joints: tuple[tuple[str, ...], ...] = ()  # of models' files, in orders in which the task reads its states
+    joints: tuple[tuple[str, ...], ...] = ()  # in models' files, in orders in which the task reads its states
 
     @property
     def input_bounds(self) -> tuple[Array, Array]:
-        """Lower and upper limits (m,) of the inputs; a task whose limits are not symmetric has its own."""
+        """Lower and upper limits (m,) of the inputs; a task with asymmetric limits overrides this."""
         return -self.input_limit, self.input_limit
 
     @property
     def without_targets(self) -> Task:
-        """The task as its robot knows it."""
+        """The task without targets, as models and hardware use it."""
         return WithoutTargets(self) if self.targets else self
 
     def targets_in(self, x: Array) -> Array:
@@ -104,7 +104,7 @@ class Task(ABC):
 
     @property
     def goals(self) -> tuple[Quantity, ...]:
-        """The quantities that the goal is about."""
+        """The quantities in which the goal is stated."""
         return self.states
 
     def aim(self, x: Array) -> Array:
@@ -124,23 +124,23 @@ class Task(ABC):
         return wrapped(self.aim(x) - reference, self.goals)
 
     def succeeds(self, states: Array) -> bool | None:
-        """Whether an episode that has not failed succeeds, its states (T+1, n); None: its cost decides."""
+        """Whether an episode with states (T+1, n) that has not failed succeeds; None: its cost decides."""
         return None
 
     @property
     def says_success(self) -> bool:
-        """Whether the task says which episodes succeed; else their costs do."""
+        """Whether the task decides which episodes succeed; otherwise their costs decide."""
         return self.succeeds(np.tile(self.start_mean, (self.horizon + 1, 1))) is not None
 
     def missed(self, states: Array) -> str:
-        """How an episode that has not failed misses success, in words, its states (T+1, n)."""
+        """How an episode with states (T+1, n) that has not failed misses success, in words."""
         errors = np.abs(self.error(states[-1], self.time_step * (len(states) - 1)))
         off = (f"{goal.name} {error:.3g} {goal.unit}" for goal, error in zip(self.goals, errors, strict=True))
         return f"at its end off by {', '.join(off)}"
 
     @abstractmethod
     def measure(self, x: Array) -> Array:
-        """Measures (..., c) of states x (..., n), to be held against the limits of the criteria."""
+        """Measures (..., c) of states x (..., n), to be compared with the limits of the criteria."""
 
     @abstractmethod
     def output(self, x: Array) -> Array:
@@ -149,7 +149,7 @@ class Task(ABC):
     def violated(self, x: Array) -> Indices:
         """Index (...) of the first criterion that each state x (..., n) violates, -1 where it violates none.
 
-        What is not finite violates: it has the index after all criteria where it violates none of them.
+        A non-finite state that violates none gets the index after the last criterion.
         """
         within = self.measure(x) <= np.array([criterion.limit for criterion in self.criteria])
         within = np.concatenate([within, np.isfinite(x).all(axis=-1, keepdims=True)], axis=-1)
@@ -161,7 +161,7 @@ class Task(ABC):
         return None if index < 0 else failure_name(self.criteria, index)
 
     def words(self, failure: str) -> str:
-        """A failure in words: those of its criterion, or the name that a hardware gave it."""
+        """A failure in words: its criterion's words, or the name that the hardware gave it."""
         words = {criterion.name: criterion.words for criterion in self.criteria}
         return words.get(failure, failure.replace("_", " "))
 
@@ -182,9 +182,9 @@ class Task(ABC):
 
 @final
 class WithoutTargets(Task):
-    """A task as its robot knows it: with the states, starts and failures of the robot, but no goal."""
+    """A task without targets: with the states, starts and failures of the robot, but no goal."""
 
-    goals = ()  # it depends on targets
+    goals = ()  # the goal depends on targets
 
     def __init__(self, task: Task) -> None:
         self._task, n = task, len(task.states) - len(task.targets)
@@ -201,7 +201,7 @@ class WithoutTargets(Task):
         return self._task.input_bounds
 
     def aim(self, x: Array) -> Array:
-        """Nothing (..., 0) of the robot's states x (..., n)."""
+        """An empty array (..., 0), since there is no goal."""
         return x[..., :0]
 
     def measure(self, x: Array) -> Array:
@@ -219,34 +219,34 @@ class WithoutTargets(Task):
 
 
 class Hardware(ABC):
-    """The expensive system."""
+    """The expensive system, on which experiments are made."""
 
-    sets_start: bool = True  # whether an experiment begins where it is asked to; else where the robot stands
+    sets_start: bool = True  # whether an experiment begins at the requested start; else where the robot is
 
     @abstractmethod
     def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
-        """One experiment with theta (p,); cost and parameters of the rollout are not set.
+        """Run one experiment with theta (p,); the rollout's cost and parameters are not set.
 
-        It begins at the start (n,), or as near to it as the robot can: the rollout's first state says where.
-        `policy.controller(theta, time_step)` computes the input of each frame, also from a list of numbers.
-        Any error but those listed below, and any result that is no rollout of the task, ends the trial in one
-        line, and the result is kept; the same command goes on once the hardware is mended
-        (`simbias.lab.checked_hardware`).
+        It begins at the start (n,), or as near to it as the robot can get; the rollout's first state is the
+        actual start. `policy.controller(theta, time_step)` computes the input of each frame, also from a list
+        of numbers. Any other error than those below, or a result that is not a rollout of the task, ends the
+        trial with a one-line message, and the result is kept. Once the hardware is mended, the same command
+        resumes the trial (`simbias.lab.checked_hardware`).
 
         Raises
         ------
         HardwareError
             If the experiment could not be carried out.
         ConfigError
-            If a file that a person put for it cannot be taken: bad input.
+            If the file that a person provided for it is bad input.
         Waiting
-            If its result is not there yet. The same experiment is asked for again at the next start.
+            If the result is not there yet. The next start requests the same experiment again.
         """
 
     def stop(self) -> None:  # noqa: B027  (few need it)
         """Bring the system to rest: an experiment took too long, was interrupted or went beyond a limit.
 
-        With `experiment_timeout` it is called from another thread while `run` still runs; `run` should end
-        soon afterwards, what it returns or raises is of no interest. Beyond a limit of `hardware.safety`,
-        `run` has ended by what the controller raised. By default nothing happens.
+        With `experiment_timeout` it is called from another thread while `run` still runs. `run` should then
+        end soon; its result or error is ignored. Beyond a limit of `hardware.safety`, `run` has already ended
+        by the controller's exception. By default nothing happens.
         """

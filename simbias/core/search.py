@@ -22,17 +22,17 @@ class Simulator(Protocol):
     """The closed loop of policy, nominal model and bias (Eq. 7, 9), with or without noise."""
 
     def rollout(self, theta: Array, start: Array) -> Rollout:
-        """Run theta (p,) from start (n,) to failure or horizon; the rollout's cost is not set."""
+        """Run theta (p,) from start (n,) until failure or the horizon; the rollout's cost is not set."""
 
     def rollouts(self, thetas: Array, starts: Array) -> Sequence[Rollout]:
-        """Run each theta of (k, p) from its start of (k, n); much faster together than one by one."""
+        """Run each theta of (k, p) from its start of (k, n) in lockstep, much faster than one by one."""
 
     def costs(self, cost: Cost, thetas: Array, starts: Array) -> tuple[Array, Indices]:
-        """Costs (k,) of these rollouts, and how many frames (k,) they have; faster than the rollouts."""
+        """Costs (k,) of these rollouts, and their numbers of frames (k,); faster than `rollouts`."""
 
 
 class GoalWeights(NamedTuple):
-    """Diagonals of a cost that is quadratic about the goal."""
+    """Diagonal weights of a cost that is quadratic about the goal."""
 
     errors: Array  # (g,) of squared errors, 1/s
     inputs: Array  # (m,) of squared inputs, 1/s
@@ -42,15 +42,15 @@ class GoalWeights(NamedTuple):
 class Cost(ABC):
     """The cost of a rollout, and the limit above which a policy has failed.
 
-    Most costs add up terms of single frames, or take their maximum: these say `reductions`, `terms` and
-    `of_totals`, and rollouts are summed up as they are simulated. A cost of another kind overrides `of`; then
-    every simulated rollout is recorded, which takes longer.
+    Most costs sum terms of single frames, or take their maximum. They define `reductions`, `terms` and
+    `of_totals`, and are accumulated during the simulation. Other costs override `of`; then every simulated
+    rollout is recorded, which takes longer.
     """
 
     max_cost: float  # Z_max
     horizon: int  # T, frames of a rollout that does not fail
     time_step: float  # s
-    reductions: tuple[Reduction, ...] = ()  # of each of the s terms to its total
+    reductions: tuple[Reduction, ...] = ()  # for each of the s terms: how it is reduced to its total
     goal_weights: GoalWeights | None = None  # if it is quadratic about the goal, up to a factor
 
     def terms(self, x_next: Array, u: Array, t: Any) -> Array:
@@ -60,14 +60,14 @@ class Cost(ABC):
     def of_totals(self, totals: Array, lost: Indices) -> Array:
         """Z (...) of rollouts with these totals (..., s) and numbers of frames (...) lost by failure: finite.
 
-        Totals are zero at the start, so that no maximum is below zero.
+        Totals start at zero, so no maximum is below zero.
         """
         raise NotImplementedError(f"{type(self).__name__} has no `of_totals`")
 
     def of(self, rollout: Rollout) -> float:
-        """Z of a rollout: finite. A frame that ends in what is not finite fails; nan terms are left out."""
+        """Z of a rollout: finite. A frame that ends in a non-finite state fails; nan terms are left out."""
         t = self.time_step * np.arange(1, rollout.frames + 1)
-        with np.errstate(over="ignore", invalid="ignore"):  # a simulated state may grow beyond all numbers
+        with np.errstate(over="ignore", invalid="ignore"):  # a simulated state may overflow
             terms = self.terms(rollout.states[1:], rollout.inputs, t)
             totals = [
                 np.nansum(term) if reduction == "sum" else np.fmax.reduce(term, initial=0.0)
@@ -98,21 +98,21 @@ class Cost(ABC):
 class Evaluation(ABC):
     """Prediction of a policy's cost in simulation."""
 
-    rollouts: int = 1  # of each policy
-    horizon: int | None = None  # frames of its rollouts; None is the task's
-    draws_nominal: bool = False  # whether each of them is on a drawn nominal model
+    rollouts: int = 1  # simulated per policy
+    horizon: int | None = None  # frames of its rollouts; None: the task's
+    draws_nominal: bool = False  # whether each rollout uses a drawn nominal model
 
     @abstractmethod
     def objective(self, model: Model, cost: Cost, rng: np.random.Generator) -> Objective:
-        """The predicted cost as a function of theta; what it samples is drawn once, from rng."""
+        """The predicted cost as a function of theta; its samples are drawn once, from rng."""
 
 
 class Optimizer(SearchBudget, ABC):
-    """A minimiser over a box; its constructor takes its budget and what it needs beside."""
+    """A minimiser over a box; its constructor takes its budget and its other settings."""
 
     @abstractmethod
     def search(self, evaluations: Evaluations, rng: np.random.Generator) -> str:
-        """Evaluate points of a box until it is no longer worth it; why, in words.
+        """Evaluate points of a box until a stopping criterion is met; return it in words.
 
         Raises
         ------
@@ -129,20 +129,20 @@ class Optimizer(SearchBudget, ABC):
         target_cost: float = np.inf,
         candidates: Iterable[Array] = (),
     ) -> Optimum:
-        """Best point found in lower (p,) <= theta <= upper (p,); the objective's exceptions pass through.
+        """The best point found in lower (p,) <= theta <= upper (p,); the objective's exceptions propagate.
 
-        It ends at the latest with the budget. Only a search whose best cost is below `target_cost` may end
-        earlier because it converges: among policies that fail, costs of Eq. 8 lie on plateaus that look like
-        convergence. The candidates (p,) are evaluated first, and a search that starts from a point starts
-        from the best. An objective's first stage is searched before, until below the target if there is one,
-        with a budget of its own, and its best point is one more candidate.
+        The budget limits the search. It may end earlier by convergence only if its best cost is below
+        `target_cost`: among failing policies, costs of Eq. 8 lie on plateaus that look like convergence. The
+        candidates (p,) are evaluated first; a search that needs a starting point starts from the best of
+        them. If the objective has a first stage, that is searched before, with its own budget, until it is
+        below the target if there is one; its best point is one more candidate.
 
         Raises
         ------
         ValueError
             If the box is empty or not finite, or a cost is not finite.
         """
-        first = list(candidates)  # before the time limit counts: they may take a while to make
+        first = list(candidates)  # before the clock starts: making them may take a while
         easier, spent = as_objective(objective).first_stage, 0
         if easier is not None:
             ends = target_cost < np.inf
@@ -155,6 +155,6 @@ class Optimizer(SearchBudget, ABC):
     def _minimum(
         self, evaluations: Evaluations, rng: np.random.Generator, candidates: Sequence[Array]
     ) -> Optimum:
-        """The best point of one search, which begins with the candidates (p,)."""
+        """The best point of one search that begins with the candidates (p,)."""
         evaluations.try_first(candidates)
         return evaluations.optimum(evaluations.run(lambda running: self.search(running, rng)))

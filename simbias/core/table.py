@@ -1,4 +1,4 @@
-"""CSV files from a lab, read strictly: a number that could mean another one is refused."""
+"""CSV files from a lab, read strictly: an ambiguous number is refused."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from simbias.core.robot import HardwareError
 POINT, COMMA = (
     re.compile(rf"[+-]?([0-9]+[{mark}]?[0-9]*|[{mark}][0-9]+)([eE][+-]?[0-9]+)?") for mark in ".,"
 )
-COMMENTS = re.compile(r"(\s*#[^\n]*\n)+(?!\s*[-+.0-9])")  # not names behind a #, above numbers
+COMMENTS = re.compile(r"(\s*#[^\n]*\n)+(?!\s*[-+.0-9])")  # but not names after a #, directly above numbers
 LARGEST = 2**29  # bytes of text: hours at 1 kHz; a compressed file of some kB may hold more
 DECIMAL_COMMA = "; is it a decimal comma? Write a point, or separate the columns by semicolons"
 
@@ -33,18 +33,18 @@ class Table:
 
     source: str  # the file, as errors name it
     names: tuple[str, ...]  # cells of the first row
-    rows: tuple[int, ...]  # (r,) where the others stand in the file
+    rows: tuple[int, ...]  # (r,) line numbers of the other rows in the file
     cells: Sequence[Sequence[str]]  # (r, c)
-    decimal_commas: bool  # whether numbers may have these, as no comma separates columns
-    cut: int | None = None  # a last row without an end, which is left out
+    decimal_commas: bool  # whether numbers may have them, since commas do not separate columns
+    cut: int | None = None  # row of an unterminated last line, which is left out
 
     def numbers(self, columns: Sequence[int], may_be_blank: Collection[int] = ()) -> Array:
-        """The numbers (r, k) in some columns; in the last row some cells may be blank, which is 0.
+        """The numbers (r, k) in some columns; blank cells, allowed in some columns of the last row, are 0.
 
         Raises
         ------
         HardwareError
-            If a cell is no finite number, with its row and column.
+            If a cell is not a finite number; the message gives its row and column.
         """
         given = [cells[column] for cells in self.cells for column in columns]
         with_comma, with_point = (sum(mark in cell for cell in given) for mark in ",.")
@@ -72,14 +72,14 @@ class Table:
 def read_table(path: Path, may_lack: str = "", may_be_cut: bool = False, whole_lines: bool = False) -> Table:
     """The table in a CSV file, also compressed (.gz), its columns separated by commas, semicolons or tabs.
 
-    Lines of # before the names are comments. Rows may lack the column `may_lack`, if it is the last one. A
-    log that `may_be_cut` off is read without a last row that has no end and lacks cells; with `whole_lines`
-    without any last row that has no end, as it may be cut within its last cell.
+    Lines of # before the names are comments. Rows may lack the column `may_lack`, if it is the last one. If
+    the log `may_be_cut` off, a last row is left out if it is unterminated and lacks cells; with
+    `whole_lines`, any unterminated last row, as its last cell may be cut.
 
     Raises
     ------
     HardwareError
-        If it cannot be read or is too large, or a row has another number of cells than the names' row.
+        If it cannot be read, is too large, or a row's number of cells differs from the header's.
     """
     try:
         with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
