@@ -1,1 +1,1 @@
-"""A trial: the study that it runs, the steps of methods, and what is kept of it."""
+"""A trial: its study, the steps of methods, and its records on disk."""

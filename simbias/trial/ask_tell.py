@@ -1,4 +1,4 @@
-"""Ask and tell: a trial that asks for each experiment, and is told its rollout."""
+"""Ask and tell: a trial that asks the caller for each experiment and receives its rollout."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ AGAIN = "simbias: %s: got the rollout of experiment %d again, though another sta
 
 
 class AskTell:
-    """A trial whose experiments are made by who asks.
+    """A trial whose experiments are run by the caller.
 
-    Each question runs the trial again and replays its steps, so the answer is the same as if the hardware had
-    been there. `run` is the trial, over the steps of a record and with another hardware.
+    Each `ask` reruns the trial and replays its steps, so the trial is the same as with its own hardware.
+    `run` runs the trial over a record's steps with a substitute hardware.
     """
 
     def __init__(self, task: Task, run: Callable[[Record, Hardware], Iterator[Iteration]]) -> None:
         self._task = task
         self._run = run
         self._told: list[Rollout] = []
-        self._answers: list[tuple[ExperimentRequest, Rollout]] = []  # the same, as they were told
+        self._answers: list[tuple[ExperimentRequest, Rollout]] = []  # the told rollouts, with their requests
         self._optima: list[Optimum] = []
         self._request: ExperimentRequest | None = None
         self.iterations: tuple[Iteration, ...] = ()  # those that have ended
@@ -54,7 +54,7 @@ class AskTell:
         return self._request
 
     def tell(self, rollout: Rollout) -> None:
-        """The rollout of the experiment that was asked for; errors as of `Study.tell`."""
+        """Take the rollout of the requested experiment; errors as for `Study.tell`."""
         if self._request is None:
             raise ValueError("no experiment was asked for: ask() comes first")
         request = self._request
@@ -65,7 +65,7 @@ class AskTell:
             if np.array_equal(each.states, checked.states) and np.array_equal(each.inputs, checked.inputs):
                 before, now = asked.content(), request.content()
                 refuse_copy(SOURCE, now["policy"], f"that of experiment {number}", before["policy"])
-                if before != now:  # a robot without noise may begin elsewhere than it was asked to
+                if before != now:  # a noise-free robot may ignore the requested start
                     logging.getLogger(__name__).warning(AGAIN, SOURCE, number)
         self._answers.append((request, checked))
         policy = without_limits(request.policy)
@@ -75,7 +75,7 @@ class AskTell:
 
 
 class _Asking(Hardware):
-    """Asks for the experiment in place of making it."""
+    """Requests the experiment instead of running it."""
 
     sets_start = False
 
@@ -91,17 +91,17 @@ class _Asking(Hardware):
 
 
 class _AskedError(Waiting, EndOfRecord):
-    """An experiment whose rollout was not told yet."""
+    """The rollout of the requested experiment has not been told yet."""
 
 
 class _Steps(Record):
-    """The steps of a trial as far as they are known; the optima of further searches are added."""
+    """The known steps of a trial; optima of further searches are added."""
 
     def __init__(self, told: Sequence[Rollout], optima: list[Optimum]) -> None:
         self._experiments, self._optima, self._searches = iter(told), optima, iter(tuple(optima))
 
     def search(self, make: Callable[[], Optimum]) -> Optimum:
-        """The next search."""
+        """The next search, from memory if known."""
         optimum = next(self._searches, None)
         if optimum is None:
             optimum = make()
@@ -109,5 +109,5 @@ class _Steps(Record):
         return optimum
 
     def experiment(self, theta: Array, rng: np.random.Generator, make: MakeExperiment) -> Rollout:
-        """The next experiment that was told; `make` asks for it."""
+        """The next told experiment; if there is none, `make` requests it."""
         return next(self._experiments, None) or make(rng)

@@ -1,4 +1,4 @@
-"""A learner held to its contract, before anything is simulated with what it gives."""
+"""A learner whose fitted bias is checked against the contract before any simulation uses it."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from simbias.core.error_origin import written_at
 from simbias.core.messages import quote
 from simbias.core.records import Rollout, Transitions
 
-POINTS = 64  # of the data, about as many: an exact posterior takes as long at all of them as its fit
+POINTS = 64  # about as many data are checked: an exact posterior at all of them takes as long as its fit
 
 
 class CheckedBias(Bias):
-    """A learner that is asked for the correction at its data, or without any at the mean start of a task."""
+    """A learner whose correction is checked at its data or, without data, at the task's mean start."""
 
     def __init__(self, bias: Bias, task: Task) -> None:
         self._bias, self._task = bias, task
 
     def fit(self, transitions: Transitions) -> FittedBias:
-        """Learn from the data; a ValueError if this gives no bias, or one of another shape or not finite."""
+        """Learn from the data; a ValueError if the result is no bias, has a wrong shape or is not finite."""
         return self._checked("fit", self._bias.fit(transitions), transitions)
 
     def learn(self, transitions: Transitions, rollouts: Sequence[Rollout], nominal: Nominal) -> FittedBias:
-        """Learn from the data, or from the rollouts and the nominal model; errors as of `fit`."""
+        """Learn from the data, or from the rollouts and the nominal model; errors as for `fit`."""
         method = "fit" if type(self._bias).learn is Bias.learn else "learn"
         return self._checked(method, self._bias.learn(transitions, rollouts, nominal), transitions)
 
     @np.errstate(all="ignore")  # as in simulations
     def _checked(self, method: str, fitted: FittedBias, data: Transitions) -> FittedBias:
-        """The bias that a method gave, if it is one."""
+        """The bias that a method returned, if it is valid."""
         if not isinstance(fitted, FittedBias):
             _refuse(self._bias, method, "a FittedBias", quote(fitted))
         start = np.concatenate([self._task.start_mean, np.zeros(len(self._task.inputs))])[None]
@@ -47,6 +47,6 @@ class CheckedBias(Bias):
 
 
 def _refuse(component: Any, method: str, expected: str, got: Any) -> NoReturn:
-    """Say which method broke its contract, and where it is written."""
+    """Report which method broke its contract, and where it is defined."""
     place = written_at(component, method)
     raise ValueError(f"{type(component).__name__}.{method}: expected {expected}, got {got} ({place})")

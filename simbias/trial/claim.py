@@ -1,4 +1,4 @@
-"""The claim of a successful trial about its last policy, by its experiments alone."""
+"""The claim of a trial about its last policy, based on its own experiments alone."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from pydantic import Field
 from simbias.core.proportions import clopper_pearson, passes_needed
 from simbias.core.records import Iteration
 
-ERROR = 0.05  # probability with which any policy of a trial is said to hold more starts than it does
+ERROR = 0.05  # probability that a trial overstates the share of starts for any of its policies
 
-Confidence = Annotated[float, Field(gt=0, lt=1)]  # a share of starts that is to be known
+Confidence = Annotated[float, Field(gt=0, lt=1)]  # a share of starts to be established
 
 
 class Claim(NamedTuple):
@@ -27,9 +27,9 @@ class Claim(NamedTuple):
 
 
 def error_of(policy: int) -> float:
-    """The part of ERROR for the trial's policy of this number, from 0: all together they make ERROR.
+    """The part of ERROR for a trial's policy of this number, from 0; the parts of all policies sum to ERROR.
 
-    A trial goes on until a policy passes, so the more policies it tries, the more passes are luck.
+    A trial continues until a policy passes, so passes by luck become likelier the more policies it tries.
     """
     return ERROR * 6 / (pi * (policy + 1)) ** 2
 
@@ -37,8 +37,8 @@ def error_of(policy: int) -> float:
 def passes_for(share: float | None, policy: int, experiments: int = 1, passes: int | None = None) -> int:
     """Passes in a row after which a trial may claim this share of starts for its policy of this number.
 
-    At least an iteration's experiments. A trial that does not ask (None) needs these, or as many passes as
-    are given.
+    It is at least the number of an iteration's experiments. If no share is required (None), it is that
+    number, or `passes` if given.
     """
     if share is None:
         return passes or experiments
@@ -46,13 +46,13 @@ def passes_for(share: float | None, policy: int, experiments: int = 1, passes: i
 
 
 def check_passes(passes: int | None, experiments: int) -> None:
-    """Refuse fewer passes than an iteration's experiments, which a ValueError says."""
+    """Raise ValueError if `passes` is less than the number of an iteration's experiments."""
     if passes is not None and passes < experiments:
         raise ValueError(f"passes: {passes} are fewer than the {experiments} experiments of an iteration")
 
 
 def claim_of(iteration: Iteration) -> Claim:
-    """The evidence of an iteration's experiments for its policy, with exact one-sided bounds."""
+    """The claim that an iteration's experiments support for its policy, with exact one-sided bounds."""
     n = len(iteration.experiments)
     k = sum(rollout.failed_at is None for rollout in iteration.experiments)
     return Claim(k / n, *clopper_pearson(k, n, 1 - 2 * error_of(iteration.index)))

@@ -1,4 +1,4 @@
-"""Oddities of a trial under way, told at once in a line each, before more hardware is spent."""
+"""Oddities of a running trial, each reported at once in a line, before more hardware is spent."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from simbias.learning.identification.identified import Identified
 from simbias.simulation.closed_loop import simulator
 from simbias.trial.study import Study
 
-NEARER, EARLIER = 0.95, 0.9  # times the least distance in this share of an episode: it was coming nearer
-ROUGH = 0.5  # of the residuals' root mean square: a sparse posterior further from the exact one is told
-STARTS = 20  # from which a policy is simulated where the task says no success
-SAME = 1e-6  # of a policy's largest parameter, within which parameters say the same
+NEARER, EARLIER = 0.95, 0.9  # of the least distance in the first 90%: a last one below is still falling
+ROUGH = 0.5  # of the residuals' root mean square: larger errors of a sparse posterior are reported
+STARTS = 20  # simulated for a policy if the task does not define success
+SAME = 1e-6  # of a policy's largest parameter: smaller differences are ignored
 
 _simulated: WeakKeyDictionary[Iteration, tuple[Remark, ...]] = WeakKeyDictionary()
 
@@ -31,12 +31,12 @@ _simulated: WeakKeyDictionary[Iteration, tuple[Remark, ...]] = WeakKeyDictionary
 class Remark(NamedTuple):
     """Something odd about a trial."""
 
-    kind: str  # in few words, the same whenever it happens
+    kind: str  # in few words, the same at every occurrence
     words: str  # in one line, with its numbers
 
 
 def of_experiments(experiments: Sequence[Rollout], study: Study) -> list[str]:
-    """How many hardware experiments fail, miss the goal or cost too much, and how, in words."""
+    """How many hardware experiments fail, miss the goal or cost too much, and why, in words."""
     task, ends = study.task, defaultdict[str, list[str]](list)
     for each in experiments:
         if each.failed_at is not None:
@@ -58,7 +58,7 @@ def of_policy(theta: Array, search: Search | None, earlier: Sequence[Iteration])
             f"all {optimum.evaluations} simulated policies cost the same ({optimum.cost:g}), so this one is "
             f"arbitrary; does every simulation fail at once, or start at rest in an equilibrium?",
         )
-    within = SAME * np.abs(theta).max(initial=0.0)  # plans are made anew, and differ in their last digits
+    within = SAME * np.abs(theta).max(initial=0.0)  # plans are recomputed, and differ in their last digits
     same = [each.index for each in earlier if np.allclose(each.parameters, theta, rtol=SAME, atol=within)]
     if same:
         yield Remark(
@@ -69,7 +69,7 @@ def of_policy(theta: Array, search: Search | None, earlier: Sequence[Iteration])
 
 
 def of_goal(rollout: Rollout, task: Task) -> Iterator[Remark]:
-    """Why a simulated rollout does not succeed, where the task says success: limits, time, what it misses."""
+    """Why a simulated rollout does not succeed, if the task defines success."""
     if rollout.failure is not None:
         yield Remark(
             "a policy fails in simulation",
@@ -97,7 +97,7 @@ def of_goal(rollout: Rollout, task: Task) -> Iterator[Remark]:
 
 
 def of_starts(theta: Array, model: Model, cost: Cost) -> Iterator[Remark]:
-    """Whether a policy theta (p,) fails in simulation from most of the starts that the task draws."""
+    """A remark if a policy theta (p,) fails in simulation from most of the starts drawn by the task."""
     rng, failures = np.random.default_rng(0), list[str]()
     for _ in range(STARTS):
         rollout = _simulated_on(model, theta, model.task.draw_start(rng), cost)
@@ -112,7 +112,7 @@ def of_starts(theta: Array, model: Model, cost: Cost) -> Iterator[Remark]:
 
 
 def of_safety(theta: Array, start: Array, model: Model | None, study: Study) -> Iterator[Remark]:
-    """Whether an experiment with theta (p,) from a start (n,) goes beyond `hardware.safety` in simulation."""
+    """A remark if theta (p,) from a start (n,) exceeds the limits of `hardware.safety` in simulation."""
     task, safety = study.task, study.conditions.safety
     if model is None or not safety.limits:
         return
@@ -125,10 +125,10 @@ def of_safety(theta: Array, start: Array, model: Model | None, study: Study) -> 
 
 
 def of_model(theta: Array, model: Model, cost: Cost) -> Iterator[Remark]:
-    """Whether a policy theta (p,) stands on what the data do not determine of its identified model.
+    """A remark if a policy theta (p,) relies on parameters that the data do not determine.
 
-    It does if it lasts in simulation on the most probable model, but not on one that lies a standard
-    deviation of the posterior aside, in a direction along which the prior is hardly narrowed.
+    It does if it lasts in simulation on the most probable model, but not on a model that is one posterior
+    standard deviation away, in a direction along which the data hardly narrow the prior.
     """
     if not isinstance(nominal := model.nominal, Identified):
         return
@@ -152,9 +152,9 @@ def of_model(theta: Array, model: Model, cost: Cost) -> Iterator[Remark]:
 
 
 def of_draws(rollout: Rollout, model: Model, study: Study) -> Iterator[Remark]:
-    """Whether a search adds a residual to nominal models that it was not learned of."""
+    """A remark if a search adds the residual to drawn nominal models, for which it was not learned."""
     drawn = study.evaluation.draws_nominal and model.nominal.parameters
-    if not drawn or isinstance(model.nominal, Identified):  # of which draws lie about the residual's own
+    if not drawn or isinstance(model.nominal, Identified):  # its draws surround the fitted model
         return
     x = rollout.states[:-1, : len(model.task.without_targets.states)]
     if model.bias.correction(x, rollout.inputs).any():
@@ -166,7 +166,7 @@ def of_draws(rollout: Rollout, model: Model, study: Study) -> Iterator[Remark]:
 
 
 def of_prediction(theta: Array, model: Model | None, study: Study) -> Iterator[Remark]:
-    """Oddities of a policy theta (p,) on the model that it was made on, before hardware is spent on it."""
+    """Oddities of a policy theta (p,) on the model it was made on, before hardware is spent on it."""
     if model is None:
         return
     rollout = _simulated_on(model, theta, model.task.start_mean, study.cost)
@@ -189,7 +189,7 @@ def of_prediction(theta: Array, model: Model | None, study: Study) -> Iterator[R
 
 
 def _simulated_on(model: Model, theta: Array, start: Array, cost: Cost) -> Rollout:
-    """The rollout of a policy theta (p,), in the loop that searches with this cost have compiled."""
+    """The rollout of a policy theta (p,), in the closed loop already compiled for searches with this cost."""
     return simulator(model, cost=cost).rollout(theta, start)
 
 
@@ -206,7 +206,7 @@ def of_reset(iteration: Iteration, max_cost: float) -> Iterator[Remark]:
 
 
 def of_selection(selection: Selection) -> Iterator[Remark]:
-    """Why nothing could be learned from an iteration's experiments, if so."""
+    """Why nothing could be learned from an iteration's experiments, if that is the case."""
     if len(selection.transitions):
         return
     if selection.sampled:
@@ -218,7 +218,7 @@ def of_selection(selection: Selection) -> Iterator[Remark]:
 
 
 def of_iteration(iteration: Iteration, earlier: Sequence[Iteration], study: Study) -> list[Remark]:
-    """Everything odd about an iteration that has ended, but that the model was cleared, which is no fault."""
+    """Everything odd about a finished iteration, except a cleared model, which is no fault."""
     found = [*of_policy(iteration.parameters, iteration.search, earlier), *_of_simulations(iteration, study)]
     if iteration.learning is not None and not iteration.succeeded:
         found += of_selection(iteration.learning.selection)
@@ -226,7 +226,7 @@ def of_iteration(iteration: Iteration, earlier: Sequence[Iteration], study: Stud
 
 
 def _of_simulations(iteration: Iteration, study: Study) -> tuple[Remark, ...]:
-    """Remarks that take simulations of an iteration's policy; these are made once."""
+    """Remarks that require simulations of an iteration's policy, which are run once."""
     if iteration not in _simulated:
         theta, model = iteration.parameters, iteration.model
         starts = [each.states[0] for each in iteration.experiments]

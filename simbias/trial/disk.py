@@ -1,4 +1,4 @@
-"""Files that are there in whole or not at all, lines that are on disk when they are said to be, and locks."""
+"""Atomically written files, lines that are on disk once appended, and locks."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from filelock import FileLock, Timeout
 from simbias.core.errors import ConfigError
 from simbias.core.messages import with_type, words
 
-PART = ".part"  # suffix of a file that is being written
-LOCK = ".lock"  # file of a folder that one process at a time may write
-LOOK_SECONDS = 1.0  # that a start waits, as who looks whether a lock is held holds it for a moment
+PART = ".part"  # suffix of a file while it is written
+LOCK = ".lock"  # lock file of a folder that only one process at a time may write
+LOOK_SECONDS = 1.0  # that a start waits, since checking a lock holds it for a moment
 
 Loaded = TypeVar("Loaded")
 
 
 @contextmanager
 def locked(path: Path, timeout: float, taken: ConfigError) -> Iterator[None]:
-    """Hold a lock in a folder that is made if need be; a ConfigError if this cannot be written.
+    """Hold a lock in a folder, created if necessary; a ConfigError if the folder cannot be written.
 
     `taken` is raised if another process holds the lock for `timeout` s.
     """
@@ -61,7 +61,7 @@ def is_locked(path: Path) -> bool:
 
 
 def require_file(path: Path) -> Path:
-    """The path, if nothing or a file is there, else a ConfigError: a pipe or a device may never end."""
+    """The path, if it is a file or missing; else a ConfigError, as a pipe or a device may never end."""
     if path.exists() and not path.is_file():
         raise ConfigError(str(path), "is no file")
     return path
@@ -78,7 +78,7 @@ def loaded(path: Path, load: Callable[[Path], Loaded]) -> Loaded:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """A mapping from a file; a ConfigError if it is missing or has none."""
+    """A mapping from a JSON file; a ConfigError if the file is missing or holds no mapping."""
     require_file(path)
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
@@ -90,15 +90,15 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write a mapping as `write_whole` does."""
+    """Write a mapping as JSON, atomically (`write_whole`)."""
     write_whole(path, f"{json.dumps(content, indent=1, default=str)}\n".encode())
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a file that is there in whole or not at all, and survives a power failure once this returns."""
+    """Write a file atomically; once this returns, it survives a power failure."""
     part = _part(path)
     part.touch()
-    with _named(path), part.open("r+b") as file:  # in the room that may be taken already
+    with _named(path), part.open("r+b") as file:  # space for it may be reserved already
         file.write(content)
         file.truncate()
         file.flush()
@@ -110,7 +110,7 @@ def write_whole(path: Path, content: bytes) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Have a folder's entries on disk, where its file system can do that."""
+    """Flush a folder's entries to disk, if its file system supports that."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -123,7 +123,7 @@ def _sync_folder(folder: Path) -> None:
 
 @contextmanager
 def room_for(path: Path, size: int) -> Iterator[None]:
-    """Take room for a file of at most `size` bytes: an OSError comes now, and none from `write_whole`."""
+    """Reserve space for a file of at most `size` bytes: an OSError comes now, not from `write_whole`."""
     part = _part(path)
     try:
         with _named(path):
@@ -135,7 +135,7 @@ def room_for(path: Path, size: int) -> Iterator[None]:
 
 @contextmanager
 def _named(path: Path) -> Iterator[None]:
-    """Errors of the system, as that of a full disk, name the folder of the file that is written."""
+    """Make system errors, such as a full disk, name the folder of the file being written."""
     try:
         yield
     except OSError as error:
@@ -144,12 +144,12 @@ def _named(path: Path) -> Iterator[None]:
 
 
 def _part(path: Path) -> Path:
-    """The file in which a file is written, until it is whole."""
+    """The temporary file that receives a file's content until it is complete."""
     return require_file(path.with_name(f"{path.name}{PART}"))
 
 
 def append_line(path: Path, line: Mapping[str, Any]) -> None:
-    """Append a line of JSON to a file, on disk when this returns; one that a kill cut off stays apart."""
+    """Append a line of JSON to a file, on disk when this returns; a truncated last line stays separate."""
     with _named(path), require_file(path).open("a+b") as file:
         file.seek(0, os.SEEK_END)
         if file.tell():
@@ -161,9 +161,9 @@ def append_line(path: Path, line: Mapping[str, Any]) -> None:
 
 
 def read_lines(path: Path) -> list[dict[str, Any]]:
-    """The lines of JSON of a file that may be missing; one that a kill cut off is left out.
+    """The lines of JSON of a file that may be missing; a line truncated by a kill is left out.
 
-    A ConfigError names a line that was damaged since.
+    A ConfigError names a line that was damaged later.
     """
     text = require_file(path).read_text(encoding="utf-8", errors="replace") if path.exists() else ""
     lines = (_parsed(line, number, path) for number, line in enumerate(text.splitlines(), 1))
@@ -171,7 +171,7 @@ def read_lines(path: Path) -> list[dict[str, Any]]:
 
 
 def _parsed(line: str, number: int, path: Path) -> dict[str, Any]:
-    """A mapping from a line; empty if the line was cut off, and so lacks its last bracket."""
+    """A mapping from a line; empty if the line was truncated, and so lacks its last bracket."""
     try:
         content = json.loads(line)
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""Rollouts as files, and any other results of a hardware."""
+"""Rollouts as files, and any other results that hardware returns."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ LONGEST_PATH = 4096  # characters
 
 
 def packed_rollout(rollout: Rollout, place: tuple[int, ...]) -> bytes:
-    """A rollout, and the place of its experiment in its trial, as an npz file; what is None is left out.
+    """A rollout and the place of its experiment in its trial, as an npz file; None fields are omitted.
 
-    Compressed, it would be 5% smaller, and take 20 times as long.
+    Compression would make it 5% smaller, but take 20 times as long.
 
     Fields: parameters (p,), states (k+1, n), inputs (k, m), measured (k+1, n), sensed, failed_at, failure,
-    source, place. Costs are not kept: they follow from these; nothing was `earlier`.
+    source, place. Costs are not kept, since they follow from these; `earlier` is always None.
     """
     left_out = ("cost", "earlier", "continues")
     fields = ((name, value) for name, value in vars(rollout).items() if name not in left_out)
@@ -34,7 +34,7 @@ def packed_rollout(rollout: Rollout, place: tuple[int, ...]) -> bytes:
 
 
 def largest(task: Task, theta: Array, place: tuple[int, ...]) -> int:
-    """Bytes that `packed_rollout` of an experiment with theta (p,) has at most."""
+    """The maximum size in bytes of `packed_rollout` for an experiment with theta (p,)."""
     T, failure, source = task.horizon, LONGEST_VALUE * "-", LONGEST_PATH * "-"
     states, inputs = np.zeros((T + 1, len(task.states))), np.zeros((T, len(task.inputs)))
     rollout = Rollout(states, inputs, T, failure, measured=states, parameters=theta, source=source)
@@ -42,7 +42,7 @@ def largest(task: Task, theta: Array, place: tuple[int, ...]) -> int:
 
 
 def load_rollout(path: Path) -> tuple[Rollout, tuple[int, ...]]:
-    """The rollout and its place, as `packed_rollout` packs them."""
+    """The rollout and its place, from a file written by `packed_rollout`."""
     with np.load(path) as file:
         arrays = {name: file[name] for name in file.files}
     place = tuple(arrays.pop("place").tolist())
@@ -54,19 +54,19 @@ def raw_json(content: Any) -> str:
     """Anything as JSON: arrays as lists, every number in full, objects as their fields, the rest as text."""
     try:
         return json.dumps(content, indent=1, default=_plain)
-    except (TypeError, ValueError, RecursionError):  # keys that are no names, what contains itself
+    except (TypeError, ValueError, RecursionError):  # keys that are no strings, or a cycle
         return json.dumps(_text(content))
 
 
 def _plain(thing: Any) -> Any:
-    """A thing in JSON's types, or in parts of which this is asked again."""
+    """Convert an object to JSON's types, or into parts that are converted in turn."""
     if isinstance(thing, np.ndarray | np.generic) and thing.dtype.kind in "biufO":
         return thing.tolist()
     return dict(vars(thing)) if getattr(thing, "__dict__", None) else _text(thing)
 
 
 def _text(thing: Any) -> str:
-    """A thing in words, every number of it in full."""
+    """An object as text, with every number in full."""
     try:
         with np.printoptions(threshold=sys.maxsize, precision=17):
             return printable(repr(thing))

@@ -1,21 +1,18 @@
-"""The folder of a trial: its config and every step that it made, only ever appended to.
+"""The folder of a trial: its config and all its steps, append-only.
 
     trial.json              composed config, chosen options, versions, the user's own code; written first
-    attempts.jsonl          a line for each process that began, for how it stopped, for each withdrawal
-    0000_search.json        the steps in the order in which they ended:
-    0001_experiment.npz     searches, hardware experiments,
-    0002_iteration.json     iterations, with all that was measured of them in numbers,
-    0009_test_episode.npz   episodes of a test of the last policy, if one was asked for
-    test_episodes.csv       this test
-    outcome.json            how the trial ended; without it, the trial has not ended
-    refused_0000.json       what a hardware returned that is no rollout
-    error_0000.txt          the traceback of an attempt
-    pictures/               drawn of all this; may be deleted
+    attempts.jsonl          a line for each start of a process, each stop, each withdrawal 0000_search.json
+    the steps in the order in which they ended: 0001_experiment.npz     searches, hardware experiments,
+    0002_iteration.json     iterations, with all their measured numbers, 0009_test_episode.npz episodes of the
+    last policy's test, if requested test_episodes.csv       the test as a table outcome.json how the trial
+    ended; without it, the trial has not ended refused_0000.json       what the hardware returned instead of a
+    rollout error_0000.txt          the traceback of an attempt pictures/               drawn from all this;
+    may be deleted
 
-A trial that is run again replays its steps and goes on from there; one that is read replays them and stops.
-Whatever else shows a trial, a table, a picture or an MLflow run, is made from its folder.
+Running a trial again replays its steps and continues from there; reading it replays them and stops.
+Everything else that shows a trial, such as a table, a picture or an MLflow run, is made from its folder.
 
-An experiment that was withdrawn, and the steps after it, stay and count no longer: the trial goes on as if it
+A withdrawn experiment and the steps after it stay on disk but no longer count: the trial continues as if it
 had stopped before them. After n withdrawals its outcome is `outcome_n.json`, its test `test_episodes_n.csv`.
 """
 
@@ -41,11 +38,11 @@ TRIAL, ATTEMPTS, OUTCOME, EPISODES = "trial.json", "attempts.jsonl", "outcome.js
 SEARCH, EXPERIMENT, ITERATION = "search.json", "experiment.npz", "iteration.json"
 EPISODE = "test_episode.npz"
 STEP = re.compile(rf"[0-9]{{4,}}_({'|'.join(map(re.escape, (SEARCH, EXPERIMENT, ITERATION, EPISODE)))})")
-AFTER = re.compile(r"outcome_([0-9]+)\.json")  # an outcome after so many withdrawals
-KINDS = {"started", "stopped", "withdrawn"}  # of lines of attempts
+AFTER = re.compile(r"outcome_([0-9]+)\.json")  # an outcome after this many withdrawals
+KINDS = {"started", "stopped", "withdrawn"}  # of lines in attempts.jsonl
 PICTURES = "pictures"
-REMEDY = "Run again, its trial makes it from the steps"  # what mends an outcome that cannot be read
-LOCK_SECONDS = 5.0  # that a worker in place of a killed one waits until the system has let go of its lock
+REMEDY = "Run again, its trial makes it from the steps"  # the remedy for an unreadable outcome
+LOCK_SECONDS = 5.0  # that a worker waits for the system to release the lock of a killed predecessor
 
 
 class TakenError(ConfigError):
@@ -68,7 +65,7 @@ class Withdrawal:
 
 @dataclass(frozen=True)
 class TrialFolder:
-    """A trial's folder, as it is read; it may be of a trial under way."""
+    """A trial's folder, for reading; the trial may still be running."""
 
     path: Path
 
@@ -83,7 +80,7 @@ class TrialFolder:
         return read_json(self.path / TRIAL)
 
     def check_identity(self, identity: str) -> None:
-        """Raise a ConfigError if this is another trial's folder, as a copy is, or as of `description`."""
+        """Raise a ConfigError if this is another trial's folder, or if `description` raises one."""
         found = self.description().get("hash")
         if found != identity:
             problem = f"is the folder of trial {found}, and trial {identity} was asked for. Move it away"
@@ -91,10 +88,10 @@ class TrialFolder:
 
     @property
     def ended(self) -> bool:
-        """Whether the trial has ended; else it runs, or can be resumed.
+        """Whether the trial has ended; otherwise it is running, or can be resumed.
 
-        An outcome that somebody damaged is none: run again, the trial makes it from its steps. Nor is one
-        beside such a config.
+        A damaged outcome, or one beside a damaged trial.json, does not count; running the trial again
+        recreates the outcome from its steps.
         """
         with suppress(ConfigError):
             summary = self.summary()
@@ -121,7 +118,7 @@ class TrialFolder:
             raise ConfigError(str(file), f"{problem}. {REMEDY}") from error
 
     def attempts(self) -> list[dict[str, Any]]:
-        """The lines of attempts.jsonl; one that a kill cut off is left out, a damaged one a ConfigError."""
+        """The lines of attempts.jsonl; one truncated by a kill is left out, ConfigError for a damaged one."""
         lines = read_lines(self.path / ATTEMPTS)
         for line in lines:
             if not line.keys() & KINDS:
@@ -130,7 +127,7 @@ class TrialFolder:
 
     @property
     def began(self) -> float:
-        """When the first attempt began, s since the epoch; nan before it."""
+        """Start time of the first attempt, s since the epoch; nan before it."""
         return next((each["started"] for each in self.attempts() if "started" in each), nan)
 
     def platforms(self) -> list[str]:
@@ -138,16 +135,16 @@ class TrialFolder:
         return list(dict.fromkeys(each["platform"] for each in self.attempts() if "platform" in each))
 
     def seconds(self) -> float:
-        """Wall time of all attempts but those that were killed, s."""
+        """Wall time in s of all attempts except killed ones."""
         stopped = (each.get("stopped") for each in self.attempts())
         stops = [float(each.get("seconds") or 0.0) for each in stopped if isinstance(each, dict)]
         stops += [each.seconds for each in self.withdrawals()]
-        return max(stops, default=0.0)  # each has that of those before it
+        return max(stops, default=0.0)  # each includes the attempts before it
 
     def withdrawals(self) -> list[Withdrawal]:
-        """The experiments that a person withdrew, in the order in which that was done.
+        """The experiments that a person withdrew, in the order of withdrawal.
 
-        A ConfigError says if one cannot be read, or is gone though the trial has ended after it.
+        ConfigError if one cannot be read, or is gone although the trial has ended after it.
         """
         file = self.path / ATTEMPTS
         lines = [each["withdrawn"] for each in self.attempts() if "withdrawn" in each]
@@ -163,7 +160,7 @@ class TrialFolder:
         return found
 
     def numbered(self, name: str) -> Path:
-        """A file of this name, with the number of withdrawals in it if there are any."""
+        """A file of this name; if there are withdrawals, their number is part of the name."""
         count, (stem, _, suffix) = len(self.withdrawals()), name.partition(".")
         return self.path / (f"{stem}_{count}.{suffix}" if count else name)
 
@@ -178,21 +175,21 @@ class TrialFolder:
         return [file for file in self.all_steps() if file.name not in gone]
 
     def iterations(self) -> list[dict[str, Any]]:
-        """The iterations that have ended, as `simbias.trial.summary.iteration_summary` describes them."""
+        """The finished iterations, in the format of `simbias.trial.summary.iteration_summary`."""
         return [read_json(file) for file in self.steps() if file.name.endswith(ITERATION)]
 
     def files(self) -> list[Path]:
-        """All files but those that are being written."""
+        """All files except those being written."""
         found = (file for file in self.path.rglob("*") if file.is_file() and not file.name.startswith("."))
         return sorted(file for file in found if file.suffix != PART)
 
     @property
     def illustrated(self) -> bool:
-        """Whether there are pictures, or a text in their place."""
+        """Whether there are pictures, or a text that replaces them."""
         return any(file.suffix != PART for file in (self.path / PICTURES).glob("*"))
 
     def held(self) -> AbstractContextManager[None]:
-        """Hold the folder for this process; TakenError if another does, ConfigError if it is read-only."""
+        """Lock the folder for this process; TakenError if another holds it, ConfigError if read-only."""
         taken = TakenError(str(self.path), "another process is running this trial")
         return locked(self.path / LOCK, LOCK_SECONDS, taken)
 
@@ -203,22 +200,22 @@ def number(step: Path) -> int:
 
 
 def withdraw(experiment: Path, reason: str = "") -> Withdrawal:
-    """Withdraw the experiment in this file of a trial's folder; also a trial that ended can be resumed then.
+    """Withdraw the experiment in this file of a trial's folder; even a finished trial can then be resumed.
 
-    Resumed, it makes the experiment again. Of the experiments after it, those that are asked for again, with
-    the same policy in the same place, are taken as they are; searches are made again. If a person put it as
-    the answer to a request, no trial takes it any more.
+    The resumed trial repeats the experiment. Later experiments are reused if the trial requests them again,
+    with the same policy in the same place; searches are run again. If a person provided the experiment's file
+    in answer to a request, no trial accepts it any more.
 
     Raises
     ------
     ConfigError
-        If the file is no experiment that counts, it or the trial's trial.json cannot be read, or a process
-        is running the trial.
+        If the file is not an experiment that counts, if it or trial.json cannot be read, or if a process is
+        running the trial.
     """
     folder = TrialFolder(experiment.parent)
     if not (folder.path / TRIAL).exists():
         raise ConfigError(str(experiment), "is in no trial's folder")
-    folder.description()  # without which it could not be resumed
+    folder.description()  # needed to resume the trial
     with folder.held():
         counted = [file.name for file in folder.steps()]
         experiments = [name for name in counted if name.endswith((EXPERIMENT, EPISODE))]
@@ -228,7 +225,7 @@ def withdraw(experiment: Path, reason: str = "") -> Withdrawal:
         if source := loaded(experiment, load_rollout)[0].source:
             mark_withdrawn(Path(source), f"{experiment}: {reason}")
         superseded = counted[counted.index(experiment.name) + 1 :]
-        shutil.rmtree(folder.path / PICTURES, ignore_errors=True)  # they show what counts no longer
+        shutil.rmtree(folder.path / PICTURES, ignore_errors=True)  # they show steps that no longer count
         seconds = summary.seconds if (summary := folder.summary()) else folder.seconds()
         withdrawal = Withdrawal(experiment.name, reason, tuple(superseded), time.time(), seconds)
         append_line(folder.path / ATTEMPTS, {"withdrawn": asdict(withdrawal)})

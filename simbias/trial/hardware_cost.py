@@ -1,4 +1,4 @@
-"""The cost of a policy on a simulated hardware, for searches that spend no experiments."""
+"""The cost of a policy on simulated hardware, for searches that spend no experiments."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from simbias.core.records import Array
 from simbias.lab.checked_hardware import CheckedHardware
 from simbias.trial.study import Study
 
-SCREENING = 2  # rollouts after which a policy that failed in all of them is not tried any further
+SCREENING = 2  # rollouts; a policy that fails in all of them is not evaluated further
 
 
 def check_simulator(hardware: Hardware, key: str = "method") -> None:
-    """Refuse a hardware that is a person's, a program's or a recording, by a ConfigError on the key."""
+    """Raise ConfigError on the key if the hardware is a person, a program or a recording."""
     if type(hardware).__module__.startswith("simbias.lab"):
         problem = f"searches on the hardware itself, but {type(hardware).__name__} is no simulator"
         raise ConfigError(key, problem)
@@ -27,12 +27,12 @@ def check_simulator(hardware: Hardware, key: str = "method") -> None:
 def cost_on_hardware(
     study: Study, hardware: Hardware, rng: np.random.Generator, rollouts: int
 ) -> Callable[[Array], float]:
-    """The mean cost Z (Eq. 8) of a policy over some starts and noise, drawn once, the same for every policy.
+    """The mean cost Z (Eq. 8) of a policy over starts and noise that are drawn once for all policies.
 
-    The hardware is a simulator: it is run as often as a search asks, under the study's conditions. Nobody is
-    asked about one of simbias's, which moves nothing; one of the user's own may be a robot, as may be what is
-    behind an environment that is not Gymnasium's. A policy that fails from the first starts costs the mean
-    of these. Errors as of `check_simulator`.
+    The hardware is a simulator: it runs as often as the search requires, under the study's conditions.
+    simbias's own simulators move nothing, so they need no confirmation; a custom hardware, or an environment
+    that is not Gymnasium's, may be a robot. A policy that fails from the first starts costs their mean.
+    Errors as for `check_simulator`.
     """
     check_simulator(hardware)
     robot = is_own(hardware) or not getattr(hardware, "simulates", True)

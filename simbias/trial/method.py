@@ -17,27 +17,27 @@ if TYPE_CHECKING:
 
 
 class Method(ABC):
-    """An algorithm that searches, experiments and learns, in the steps of `simbias.trial.steps`.
+    """An algorithm that searches, experiments and learns, built from the steps in `simbias.trial.steps`.
 
-    It knows nothing of folders. It may be run again over the steps of an earlier run, which are then replayed
-    (`simbias.trial.replay`). So every search and every experiment has a generator of its own, spawned from
-    the method's.
+    It does not handle folders. It may be rerun over the steps of an earlier run, which are then replayed
+    (`simbias.trial.replay`). Therefore every search and every experiment has its own random generator,
+    spawned from the method's.
     """
 
     max_iterations: int  # N_out
-    experiments: int  # on hardware, of an iteration at most
+    experiments: int  # on hardware, at most per iteration
 
     @cached_property
     def max_experiments(self) -> int:
-        """Hardware experiments of a trial that never succeeds, at most."""
+        """The maximum number of hardware experiments, in a trial that never succeeds."""
         return sum(map(self.passes_of, range(self.max_iterations)))
 
     def passes_of(self, policy: int) -> int:
-        """Experiments that the trial's policy of this number, from 0, has to pass, and so makes at most."""
+        """Experiments that the trial's policy of this number, from 0, has to pass; it runs no more."""
         return self.experiments
 
-    def check(self, study: Study) -> None:  # noqa: B027 (most work with any)
-        """Refuse components that the method cannot work with, before anything is made.
+    def check(self, study: Study) -> None:  # noqa: B027 (most methods accept any)
+        """Refuse components that the method cannot work with, before anything is run.
 
         Raises
         ------

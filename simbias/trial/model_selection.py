@@ -1,4 +1,4 @@
-"""Selection of how to model the hardware, by log-likelihoods of experiments that are left out."""
+"""Model selection by log-likelihoods of held-out experiments."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from simbias.simulation.open_loop import PredictionModel, Windows, predict
 from simbias.trial.steps import ModelVariant, learn
 from simbias.trial.study import Study
 
-WINDOW, CHUNKS = 0.1, 10  # s, of a prediction; its parts, whose means are compared
+WINDOW, CHUNKS = 0.1, 10  # s of a prediction; number of its parts, whose means are compared
 FOLDS = 3  # fits, each without some of the experiments
 
 
@@ -24,22 +24,22 @@ VARIANTS: Mapping[str, ModelVariant] = {  # by name, the simplest first
 
 
 def log_likelihoods(study: Study, experiments: Sequence[Rollout], margin: float = 0.0) -> dict[str, float]:
-    """Mean log-likelihoods (nats) of a window that was not learned from, of each variant by name.
+    """Mean log-likelihoods (nats) of a held-out window under each variant, by name.
 
-    Of each but the simplest, `margin` standard errors of what it gains over the best simpler one are taken
-    off: few windows may favour a model by chance.
+    For each but the simplest, `margin` standard errors of its gain over the best simpler variant are
+    subtracted: few windows may favour a model by chance.
 
-    The experiments are left out in turn or, if there are few, their parts. The errors of a window are assumed
-    to be distributed as those of the others when these are left out (`simbias.learning.prediction_errors`).
-    Errors on what was learned from are too small to tell: the more was learned, the smaller. Nothing if all
-    experiments are too short.
+    The experiments are held out in turn or, if there are few, their parts. The errors of a window are assumed
+    to have the distribution of the errors in other held-out windows (`simbias.learning.prediction_errors`).
+    Errors on training data are too small to compare models: the more a model learned, the smaller they are.
+    The result is empty if all experiments are too short.
     """
     frames = max(1, round(WINDOW / study.task.time_step))
     chunk = max(1, round(frames / CHUNKS))
     folds = _folds(experiments, frames)
     windows = [Windows.of(study.of_robot(fold), frames, chunk) for fold in folds]
     values: dict[str, float] = {}
-    best, reached = np.zeros(0), 0.0  # its log-likelihoods (w,), and what has been taken off their mean
+    best, reached = np.zeros(0), 0.0  # its log-likelihoods (w,), and what was subtracted from their mean
     for name, variant in VARIANTS.items() if len(folds) > 1 else ():
         errors = [
             _errors(study, variant, [r for other in folds if other is not fold for r in other], own)
@@ -61,7 +61,7 @@ def log_likelihoods(study: Study, experiments: Sequence[Rollout], margin: float 
 
 
 def _standard_error(gains: Array, folds: Sequence[Windows]) -> float:
-    """Of the mean of gains (w,), those of successive windows correlated."""
+    """Standard error of the mean of gains (w,), accounting for correlation of successive windows."""
     e = (gains - gains.mean())[:, None]
     experiments, count = [], 0
     for windows in folds:
@@ -72,18 +72,18 @@ def _standard_error(gains: Array, folds: Sequence[Windows]) -> float:
 
 
 def most_likely(values: Mapping[str, float]) -> ModelVariant:
-    """The variant whose log-likelihood is the greatest; without any values, the last."""
+    """The variant with the greatest log-likelihood; without values, the last one."""
     return VARIANTS[max(values, key=lambda name: values[name])] if values else ModelVariant()
 
 
 def _errors(study: Study, variant: ModelVariant, kept: Sequence[Rollout], left_out: Windows) -> Array:
-    """Errors (w, J, n) of the windows that were left out."""
+    """Errors (w, J, n) of a variant on the held-out windows."""
     model = learn(study, kept, [kept], variant).model
     return predict([PredictionModel(model.nominal)], left_out, model.bias)[0] - left_out.means
 
 
 def _folds(experiments: Sequence[Rollout], least: int) -> list[list[Rollout]]:
-    """Experiments in up to FOLDS folds; if they are fewer, each is cut into FOLDS parts."""
+    """Split experiments into up to FOLDS folds; if there are fewer, each is cut into FOLDS parts."""
     whole = [rollout for rollout in experiments if rollout.frames >= least]
     if len(whole) >= FOLDS:
         return [list(whole[fold::FOLDS]) for fold in range(FOLDS)]

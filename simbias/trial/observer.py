@@ -1,4 +1,4 @@
-"""Observers of a trial: what shows its progress."""
+"""Observers of a trial, which show its progress."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from simbias.core.records import Array, Iteration, Rollout, Search
 
 
 class Observer:
-    """Follows a trial; this one does nothing."""
+    """Follows a trial; the base class does nothing."""
 
     def searching(self, evaluations: int, best_cost: float) -> None:
-        """A policy search has simulated this number of policies, a few in vain if it looks ahead."""
+        """A policy search has simulated this number of policies; a few may be wasted if it looks ahead."""
 
     def designed(self, theta: Array, model: Model | None = None, search: Search | None = None) -> None:
-        """A policy theta (p,) was made: on this model, if on any, and by this search, if by one."""
+        """A policy theta (p,) was made, on this model and by this search, if there are any."""
 
     def experimenting(self, theta: Array, start: Array) -> None:
         """A hardware experiment with theta (p,) from start (n,) begins."""
@@ -29,7 +29,7 @@ class Observer:
         """An iteration has ended."""
 
     def trying(self, number: int, count: int) -> None:
-        """A test episode of the last policy begins, the first of which has the number 0."""
+        """A test episode of the last policy begins; the first has the number 0."""
 
 
 class Observers(Observer):

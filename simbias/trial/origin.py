@@ -1,6 +1,7 @@
-"""Where a trial comes from: versions of packages, the checkout's commit, the user, the user's own code.
+"""Provenance of a trial: versions of packages, the checkout's commit, the user, the user's own code.
 
-A comment is no other trial, so what changed is told, and the user decides whether results still count.
+Editing a comment makes no other trial, so changes are reported, and the user judges whether results still
+count.
 """
 
 from __future__ import annotations
@@ -22,12 +23,12 @@ from simbias.core.digest import short_digest
 from simbias.core.platform import PACKAGE
 from simbias.trial.study import Study
 
-TOOLS = re.compile(r"extra == .(docs|test)\b")  # requirements that no trial runs with
+TOOLS = re.compile(r"extra == .(docs|test)\b")  # requirements that no trial needs
 IN_CLEAR = "simbias: %s: from the environment, and written in clear into %s, which MLflow shows too"
 
 
 def description(study: Study) -> dict[str, Any]:
-    """A study in JSON's types: identity, config without the store's, versions and code."""
+    """A study in JSON's types: identity, config except the store's, versions and code."""
     origin = study.composition
     config = {key: value for key, value in origin.config.items() if key != "tracking"}
     return {
@@ -42,7 +43,7 @@ def description(study: Study) -> dict[str, Any]:
 
 
 def tell_what_is_in_clear(keys: Sequence[str], file: Path) -> None:
-    """Say which values, maybe secrets, are written into a file."""
+    """Report which values, perhaps secrets, are written into a file in plain text."""
     if keys:
         logging.getLogger(__name__).warning(IN_CLEAR, ", ".join(keys), file)
 
@@ -58,9 +59,9 @@ def digests(study: Study) -> dict[str, str]:
 
 
 def model_digest(study: Study) -> str:
-    """Digest of the nominal model's class, values and files, whichever of the values are uncertain.
+    """Digest of the nominal model's class, values and files, regardless of which values are uncertain.
 
-    A task may hold values of the model, as its `robot`.
+    A task may hold values of the model, such as its `robot`.
     """
     fields, task = study.composition.identity_fields["nominal"].items(), study.config["task"]
     values = {key: value for key, value in fields if key not in ("file", "uncertainty", "sampled")}
@@ -70,22 +71,22 @@ def model_digest(study: Study) -> str:
 
 
 def changed_code(before: Mapping[str, Any], study: Study) -> str:
-    """Modules of the user's, and files, that changed since a study was described; "" if none did."""
+    """The user's modules, and files, that changed since a study was described; "" if none did."""
     then, now = before.get("code", {}), digests(study)
     return ", ".join(sorted(name for name in {*then, *now} if then.get(name) != now.get(name)))
 
 
 def provenance() -> dict[str, Any]:
-    """User, commit and versions, as far as they are known."""
+    """User, commit and versions, as far as known."""
     user: dict[str, str] = {}
-    with suppress(OSError, KeyError):  # a user without a name, as in some containers
+    with suppress(OSError, KeyError):  # the user may have no name, as in some containers
         user = {"user": getpass.getuser()}
     return {**user, **_commit(), "versions": _versions()}
 
 
 @cache
 def _commit() -> dict[str, Any]:
-    """Commit of the checkout that the package runs from, and whether it was changed; nothing without one."""
+    """Commit of the checkout that the package runs from, and whether it was modified; or empty."""
     if not (PACKAGE.parent / ".git").exists():
         return {}
     try:
@@ -98,19 +99,19 @@ def _commit() -> dict[str, Any]:
 
 
 def _git(*arguments: str) -> str:
-    """Answer of git about the checkout."""
+    """Output of a git command on the checkout."""
     command = ["git", "-C", str(PACKAGE.parent), *arguments]
     return subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
 
 
 @cache
 def _versions() -> dict[str, str]:
-    """Versions of Python, simbias, what it requires, and of the extras that are installed."""
+    """Versions of Python, simbias, its requirements and the installed extras."""
     versions = {"python": platform.python_version()}
-    with suppress(PackageNotFoundError):  # it runs from a checkout, and nothing is known
+    with suppress(PackageNotFoundError):  # it runs from a checkout without metadata
         for line in ["simbias", *(requires("simbias") or [])]:
             package = re.split(r"[^\w\-.]", line)[0]
             if not TOOLS.search(line):
-                with suppress(PackageNotFoundError):  # an extra's
+                with suppress(PackageNotFoundError):  # not every extra is installed
                     versions[package] = version(package)
     return versions

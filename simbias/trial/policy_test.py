@@ -1,8 +1,8 @@
-"""The test of a trial's last policy: episodes on the hardware that nothing was learned from.
+"""The test of a trial's last policy: held-out episodes on the hardware.
 
-A trial succeeds by a few experiments of a few seconds, which its policy may pass by luck. So after its end
-its last policy is tested, from starts that are the same in every trial of a task, for any seed. These
-episodes are no experiments of the trial, and change nothing in it.
+A trial succeeds by a few experiments of a few seconds, which its policy may pass by luck. After its end, its
+last policy is therefore tested. The starts are the same in every trial of a task, for any seed. Test episodes
+are not experiments of the trial, and change nothing in it.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ class PolicyTest:
     """Test episodes of a trial's last policy, after the trial's end."""
 
     episodes: CountOrZero = 0
-    long_episodes: CountOrZero = 2  # those of them that last longer than the task's horizon,
-    long_seconds: Seconds = 60.0  # this long
-    seed: Seed = 2015  # of starts and noise: no trial's seed touches it
+    long_episodes: CountOrZero = 2  # of these, the number that last longer than the task's horizon,
+    long_seconds: Seconds = 60.0  # namely this long
+    seed: Seed = 2015  # of starts and noise; independent of trials' seeds
 
 
 NO_TEST = PolicyTest()
@@ -39,11 +39,11 @@ class Episode(NamedTuple):
     """One run of a policy on the hardware."""
 
     start: Array  # (n,)
-    asked_seconds: float  # that it was to last
-    seconds: float  # that it lasted
+    asked_seconds: float  # requested duration
+    seconds: float  # actual duration
     failure: str | None
-    succeeds: bool | None = None  # as the task says; None: lasting for the task's horizon counts, at any cost
-    errors: Sequence[float] = ()  # (g,) root mean square, while it lasted, of each of the goal's quantities
+    succeeds: bool | None = None  # by the task; None: lasting for the task's horizon counts, at any cost
+    errors: Sequence[float] = ()  # (g,) root mean square error of each goal quantity, while it lasted
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,7 @@ class PolicyTestResult:
 
     @property
     def successes(self) -> str:
-        """1 for each episode that succeeds (lasts, without success of the task's own), 0 for each other."""
+        """1 for each episode that succeeds (that lasts, if the task defines no success), 0 for each other."""
         return "".join(str(int(self._succeeds(episode))) for episode in self.episodes)
 
     def _succeeds(self, episode: Episode) -> bool:
@@ -64,7 +64,7 @@ class PolicyTestResult:
 
     @property
     def holding(self) -> str:
-        """1 for each episode that lasts as long as an experiment, which a claim is of, 0 for each other."""
+        """1 for each episode that lasts as long as an experiment, as in a claim, 0 for each other."""
         return "".join(str(int(self._holds(episode))) for episode in self.episodes)
 
     def _holds(self, episode: Episode) -> bool:
@@ -108,7 +108,7 @@ class PolicyTestResult:
         lasted = counted_share(sum(each.failure is None for each in self.long_episodes), count)
         long = f"{self.long_episodes[0].asked_seconds:g} s"
         of = f" of {self.horizon:g} s"
-        if not lasting:  # success is told at an episode's own end
+        if not lasting:  # success is decided at an episode's own end
             of = f": {len(self.episodes) - count}{of} and {count} of {long}"
         return (
             f"{said}{of}, and lasts in {lasted} of {long} (they last {self.long_seconds:.0f} s on average)."
@@ -123,7 +123,7 @@ def run_policy_test(
 ) -> PolicyTestResult | None:
     """Run the test episodes of theta (p,); None if the test has none.
 
-    `trying` is called before each episode, with its number and how many there are. Errors are those of
+    `trying` is called before each episode, with its number and the total number. Errors are those of
     experiments.
     """
     if not test.episodes:
@@ -147,11 +147,11 @@ def run_policy_test(
 
 
 def episodes_csv(result: PolicyTestResult, task: Task) -> str:
-    """A row for each episode: its start, how long it was to last and did, failure, success, errors.
+    """A row for each episode: its start, requested and actual duration, failure, success, errors.
 
-    Success is 1 or 0. Errors are root mean squares, of each of the goal's quantities.
+    Success is 1 or 0. Errors are root mean squares of each goal quantity.
     """
-    import pandas as pd  # lazily: workers do without it
+    import pandas as pd  # lazily: workers do not need it
 
     ended = ("asked_seconds", "lasted_seconds", "failure", "succeeded")
     errors = (f"{goal.name}_rms_error" for goal in task.goals)

@@ -1,4 +1,4 @@
-"""The prediction of an experiment by simulation: one trajectory, and a band of others."""
+"""The prediction of an experiment by simulation: one trajectory, and a band from random draws."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ class Prediction:
     """Simulated rollouts of an experiment with one policy."""
 
     expected: Rollout  # from its start, on the model that the search used
-    draws: tuple[Rollout, ...]  # from other starts that the task draws, on models that may be right too
-    drawn: str  # of what, in words
-    is_known: bool = True  # whether anything is known of states; without a model and data, nothing is
+    draws: tuple[Rollout, ...]  # from random starts of the task, on drawn models
+    drawn: str  # source of the draws, in words
+    is_known: bool = True  # whether states can be predicted; not without a model and data
 
     @property
     def failures(self) -> list[str]:
-        """The failures of those draws that failed."""
+        """The failures of the draws that failed."""
         return [draw.failure or "failed" for draw in self.draws if draw.failed_at is not None]
 
     def band(self, inputs: bool = False) -> tuple[Array, Array]:
-        """Quantiles (T+1, n) of the draws' states, or (T, m) of their inputs; what has failed is in none."""
+        """Quantiles (T+1, n) of the draws' states, or (T, m) of their inputs, up to their failures."""
         series = [draw.inputs if inputs else draw.states for draw in self.draws]
         whole = np.full((len(series), max(map(len, series)), series[0].shape[1]), np.nan)
         for place, values in zip(whole, series, strict=True):
@@ -41,7 +41,7 @@ class Prediction:
         return low, high
 
     def largest_change(self, time_step: float) -> Array:
-        """The largest change (m,) of each input in a second, from one frame to the next, in any of them."""
+        """The largest rate of change (m,) of each input per second, between frames, in any rollout."""
         changes = [np.abs(np.diff(each.inputs, axis=0)) for each in (self.expected, *self.draws)]
         return np.max([change.max(axis=0, initial=0.0) for change in changes], axis=0) / time_step
 
@@ -55,8 +55,8 @@ def predict(
 ) -> Prediction:
     """Simulate an experiment with theta (p,) from a start (n,), with neither noise nor a push.
 
-    Draws begin at random starts of the task, on models and biases as they may be, for all that is known, with
-    the task's pushes and the noise that the hardware declares.
+    Draws begin at random starts of the task, on models and biases drawn from their posteriors, with the
+    task's pushes and the noise that the hardware declares.
     """
     model, noise = study.model(bias, nominal), declared_noise(study)
     study = study.designed_on(model)
@@ -80,9 +80,9 @@ def predict(
 
 
 def declared_noise(study: Study) -> Noise:
-    """The noise that the hardware declares by names of the task's quantities, if it does, and pushes."""
+    """The noise that the hardware declares by names of the task's quantities, if any, and pushes."""
     declared = study.config.get("hardware", {}).get("noise")
     try:
         return Noise(study.task, TypeAdapter(Variances).validate_python(declared or QUIET))
-    except ValueError:  # a class of one's own may mean something else by it
+    except ValueError:  # a custom class may use the name differently
         return Noise(study.task, QUIET)

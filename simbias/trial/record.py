@@ -49,8 +49,8 @@ from simbias.trial.study import Study
 from simbias.trial.summary import TrialSummary, iteration_summary
 
 ERROR, REFUSED = "error_", "refused_"
-ROUNDING = 1e-6  # by which a computed policy, as LQR's, may differ on another platform
-COMPARED = ("iteration", "total_experiments", "succeeded")  # of an iteration with its replay
+ROUNDING = 1e-6  # allowed difference of a computed policy, such as LQR, between platforms
+COMPARED = ("iteration", "total_experiments", "succeeded")  # between an iteration and its replay
 SHARED = "simbias: %s was asked for by another trial, before this one began; it counts in both"
 MIXED = "simbias: trial %s mixes platforms, so its last bits are of neither: %s; now %s"
 
@@ -62,30 +62,30 @@ class FolderRecord(Record):
         self.folder = TrialFolder(path)
         self._study = study
         self._steps = StepFiles(self.folder)
-        self._episodes = 0  # that were replayed
-        self._replayed_seconds = 0.0  # that iterations took which were replayed
-        self._searched = 0.0  # s that the searches took which were replayed since the last iteration
-        self.testing = False  # the last policy, whose episodes are no experiments of the method's
+        self._episodes = 0  # number replayed
+        self._replayed_seconds = 0.0  # duration of the replayed iterations
+        self._searched = 0.0  # duration in s of the searches replayed since the last iteration
+        self.testing = False  # whether the last policy's test runs, whose episodes are not experiments
 
     @contextmanager
     def opened(self) -> Iterator[None]:
-        """Hold the folder for this process, and write into it, unless the trial has ended.
+        """Lock the folder for this process, and write into it, unless the trial has ended.
 
         Raises
         ------
         ConfigError
-            If the folder cannot be written, is another trial's, holds steps or an outcome without a readable
-            trial.json, or another process runs this trial.
+            If the folder cannot be written, belongs to another trial, or holds steps or an outcome without a
+            readable trial.json; or if another process runs this trial.
         """
         with nullcontext() if self.folder.ended else self.folder.held():
-            if not self.folder.ended:  # meanwhile, by another process
+            if not self.folder.ended:  # another process may have ended it meanwhile
                 self._begin()
             else:
                 self.folder.check_identity(self._study.hash)
             yield
 
     def _begin(self) -> None:
-        """Write what is known before the first step, and that an attempt begins."""
+        """Write trial.json before the first step, and record the start of an attempt."""
         path = self.folder.path
         there = self._steps.begin()
         if (path / TRIAL).exists():
@@ -96,7 +96,7 @@ class FolderRecord(Record):
             tell_what_is_in_clear(self._study.composition.from_environment, path / TRIAL)
             write_json(path / TRIAL, description(self._study))
         here, before = platform.kind(), self.folder.platforms()
-        if self.folder.steps() and before and here not in before:  # read before a line is added
+        if self.folder.steps() and before and here not in before:  # read before this attempt's line is added
             logging.getLogger(__name__).warning(MIXED, path.name, before[-1], here)
         append_line(
             path / ATTEMPTS, {"started": time.time(), "platform": here, "processor": platform.processor()}
@@ -117,9 +117,9 @@ class FolderRecord(Record):
         return optimum
 
     def experiment(self, theta: Array, rng: np.random.Generator, make: MakeExperiment) -> Rollout:
-        """The next experiment; what breaks the contract is no step, as it would be replayed for ever."""
+        """The next experiment; one that breaks the contract is no step, as it would be replayed forever."""
         kind = EPISODE if self.testing else EXPERIMENT
-        path = self._replayed(kind, EXPERIMENT)  # as episodes, too, were called at first
+        path = self._replayed(kind, EXPERIMENT)  # episodes were also called so at first
         if path is not None:
             rollout = loaded(path, self._experiment)[0]
             if not self._fits(rollout, theta):
@@ -139,12 +139,12 @@ class FolderRecord(Record):
 
     @property
     def _longest_task(self) -> Task:
-        """The task, in a test as long as its longest episodes."""
+        """The task; in a test, with the horizon of its longest episodes."""
         task, seconds = self._study.task, self._study.policy_test.long_seconds
         return task.with_horizon(max(task.horizon, task.frames(seconds))) if self.testing else task
 
     def _fits(self, rollout: Rollout, theta: Array) -> bool:
-        """Whether an experiment is with theta (p,): on the trial's only platform to the last bit."""
+        """Whether an experiment used theta (p,): to the last bit if the trial ran on this platform only."""
         kept = rollout.parameters
         if np.array_equal(kept, theta):
             return True
@@ -152,13 +152,13 @@ class FolderRecord(Record):
         return elsewhere and np.allclose(kept, theta, rtol=ROUNDING, atol=ROUNDING)
 
     def _experiment(self, path: Path) -> tuple[Rollout, tuple[int, ...]]:
-        """An experiment and its place, as a hardware can have made it; those of a test may be longer."""
+        """Load an experiment and its place, and check it as a rollout; test episodes may be longer."""
         rollout, place = load_rollout(path)
         check_rollout(rollout, "it", self._study.task.with_horizon(max(1, rollout.frames)))
         return rollout, place
 
     def _former(self, kind: str, theta: Array, place: tuple[int, ...]) -> tuple[Rollout | None, int]:
-        """The step with theta (p,) in this place, if it was superseded; how often one was withdrawn."""
+        """The superseded step with theta (p,) in this place, if any; how many there were withdrawn."""
         withdrawn = {each.experiment for each in self.folder.withdrawals()}
         latest, count = None, 0
         for file in self.folder.all_steps() if withdrawn and place else ():
@@ -170,12 +170,12 @@ class FolderRecord(Record):
         return latest, count
 
     def iteration(self, iteration: Iteration, earlier: Sequence[Iteration]) -> Iteration:
-        """The iteration that has ended after others; if it did before, as long and as predicted as then."""
+        """Record a finished iteration; if it is replayed, with its recorded durations and predicted cost."""
         path = self._replayed(ITERATION)
         if path is None:
             seconds = dict(iteration.seconds)
             if "search" in seconds:
-                seconds["search"] += self._searched  # to replay it takes no time
+                seconds["search"] += self._searched  # replayed searches take no time
             told = {name: taken for name, taken in seconds.items() if not np.isnan(taken)}
             iteration = replace(iteration, seconds=told)
             summary = {**iteration_summary(self._study, iteration, earlier), "ended": time.time()}
@@ -195,11 +195,11 @@ class FolderRecord(Record):
 
     @property
     def seconds_before(self) -> float:
-        """Wall time of the attempts before this one, s; of one that was killed, that of its iterations."""
+        """Wall time in s of the earlier attempts; for a killed one, that of its iterations."""
         return max(self.folder.seconds(), self._replayed_seconds)
 
     def refuse(self, returned: Any, theta: Array, start: Array, why: str) -> str:
-        """Keep what is no rollout beside the steps; what could not be kept hides no error."""
+        """Keep an invalid result beside the steps; failing to keep it must not hide the original error."""
         try:
             texts = {"why": why, "parameters": theta, "start": start, "returned": returned}
             files = (self.folder.path / f"{REFUSED}{number:04d}.json" for number in itertools.count())
@@ -211,19 +211,19 @@ class FolderRecord(Record):
         return f"; it is kept in {path}"
 
     def traceback(self, text: str) -> str:
-        """Keep an attempt's traceback; its file, or "" where it cannot be written."""
+        """Keep an attempt's traceback; return its file, or "" if it cannot be written."""
         count = sum("started" in each for each in self.folder.attempts())
         file = self.folder.path / f"{ERROR}{max(0, count - 1):04d}.txt"
         try:
             write_whole(file, text.encode())
-        except OSError:  # which must not hide what raised
+        except OSError:  # it must not hide the original error
             return ""
         return str(file)
 
     def stop(self, summary: TrialSummary, episodes: str | None = None) -> None:
-        """Keep how the trial ended, or how this attempt stopped; `episodes` is the test's CSV.
+        """Record how the trial ended, or how this attempt stopped; `episodes` is the test's CSV.
 
-        Of a trial that had ended before only this CSV is written, if it differs and the test is the same.
+        For a trial that had already ended, only this CSV is written, if it differs and the test is the same.
         """
         ended = None if self._steps.writes else self.folder.summary()
         if episodes is not None and (ended is None or ended.test_words == summary.test_words):
@@ -238,12 +238,12 @@ class FolderRecord(Record):
             append_line(self.folder.path / ATTEMPTS, {"stopped": summary.as_json()})
 
     def summary(self, replayed: TrialSummary) -> TrialSummary | None:
-        """How the trial ended or stopped, as the folder has it.
+        """How the trial ended or stopped, according to its folder.
 
         Raises
         ------
         ConfigError
-            If it cannot be read, or the trial ended with other counts than its steps, as replayed, have.
+            If it cannot be read, or its counts differ from those of the replayed steps.
         """
         summary = self.folder.summary()
         if summary is not None and summary.outcome.final:
@@ -255,10 +255,10 @@ class FolderRecord(Record):
         return summary
 
     def check_end(self) -> None:
-        """Raise a ConfigError if steps are left after the trial's end, but for episodes of another test."""
+        """Raise a ConfigError if steps are left after the trial's end, except episodes of another test."""
         left = [step for step in self._steps.left if not step.name.endswith(EPISODE)]
         ended = self.folder.summary() if left and self.folder.ended else None
-        former = len(ended.test_episodes) - self._episodes if ended else 0  # were called experiments at first
+        former = len(ended.test_episodes) - self._episodes if ended else 0  # formerly named experiments
         if len(left) > max(0, former):
             raise changed(left[0])
 
@@ -268,10 +268,10 @@ class FolderRecord(Record):
         Raises
         ------
         ConfigError
-            If it is of another kind: then the trial's code is not what it was. If there is none, and the
-            trial has ended: then somebody has removed it.
+            If it is of another kind, since the trial's code has changed; or if there is none although the
+            trial has ended, since somebody has removed it.
         EndOfRecord
-            If there is none, and the trial is only read.
+            If there is none, and the trial is only being read.
         """
         step = next(self._steps.left, None)
         if step is None and not self._steps.writes:
@@ -284,12 +284,12 @@ class FolderRecord(Record):
         return step
 
     def check(self) -> None:
-        """Hold the folder that is written against what this process has read and written (`StepFiles`)."""
+        """Compare the folder with what this process has read and written (`StepFiles`)."""
         self._steps.check()
 
 
 def another(rng: np.random.Generator, times: int) -> np.random.Generator:
-    """A generator in the same place, with other numbers for an experiment that is made again."""
+    """A generator for the same place, with new random numbers for a repeated experiment."""
     seed = rng.bit_generator.seed_seq
     if not times or not isinstance(seed, np.random.SeedSequence):
         return rng
@@ -298,13 +298,13 @@ def another(rng: np.random.Generator, times: int) -> np.random.Generator:
 
 
 def _load_iteration(path: Path) -> tuple[tuple[Any, ...], dict[str, float], float | None]:
-    """The fields that are compared with its replay, its seconds, and the predicted cost, if it has one."""
+    """An iteration's fields to compare with its replay, its seconds, and its predicted cost, if any."""
     fields = read_json(path)
     return itemgetter(*COMPARED)(fields), fields["seconds"], fields.get("predicted_cost")
 
 
 def _load_search(path: Path) -> tuple[Optimum, float]:
-    """The optimum that a search found, and the seconds that this took; nan if its file does not tell."""
+    """The optimum of a search, and its duration in seconds; nan if its file has none."""
     fields = {"seconds": np.nan, **read_json(path)}
     seconds = fields.pop("seconds")
     return Optimum(**{**fields, "parameters": np.array(fields["parameters"])}), seconds

@@ -1,4 +1,4 @@
-"""Steps that a trial has made are replayed; those that it makes are kept before anyone uses them."""
+"""Replay of a trial's earlier steps; new steps are kept before they are used."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from simbias.core.records import Optimum
 from simbias.lab.checked_hardware import ExperimentRecord
 
 
-class EndOfRecord(Exception):  # noqa: N818 (no error: as far as a trial came)
-    """A trial that is only read has made no further step."""
+class EndOfRecord(Exception):  # noqa: N818 (no error: the end of what was recorded)
+    """A trial that is only being read has no further step."""
 
 
 class Record(ExperimentRecord):
@@ -28,7 +28,7 @@ class Record(ExperimentRecord):
 
 
 class ReplayedOptimizer(Optimizer):
-    """An optimizer each of whose searches is made but once."""
+    """An optimizer whose searches are run only once, then replayed."""
 
     def __init__(self, optimizer: Optimizer, record: Record) -> None:
         self._optimizer = optimizer
@@ -42,5 +42,5 @@ class ReplayedOptimizer(Optimizer):
         return self._optimizer.search(evaluations, rng)
 
     def minimize(self, *arguments: Any, **options: Any) -> Optimum:
-        """The optimum, or the one that was found in its place before."""
+        """The optimum of the search, replayed if it was found before."""
         return self._record.search(partial(self._optimizer.minimize, *arguments, **options))

@@ -1,4 +1,4 @@
-"""The one way to run a trial, to resume it and to read it back: its method, over what its folder holds."""
+"""The one way to run, resume and read back a trial: its method runs over the steps in its folder."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ class TrialRecord:
 
     study: Study
     summary: TrialSummary
-    iterations: tuple[Iteration, ...]  # those that have ended
-    unfinished: tuple[Rollout, ...] = ()  # experiments of an iteration that has not
-    policy_test: PolicyTestResult | None = None  # of the last policy, if one was asked for
-    traceback: str = ""  # none of a bad key or file, which the reason names
+    iterations: tuple[Iteration, ...]  # finished iterations
+    unfinished: tuple[Rollout, ...] = ()  # experiments of the unfinished iteration
+    policy_test: PolicyTestResult | None = None  # of the last policy, if requested
+    traceback: str = ""  # empty for a bad key or file, which the reason names
     withdrawn: tuple[Withdrawal, ...] = ()  # experiments that a person withdrew
 
     @property
@@ -52,10 +52,10 @@ class TrialRecord:
 
     @property
     def next_experiment(self) -> ExperimentRequest:
-        """Another experiment with the last policy, as that of its iteration ran, from the mean start.
+        """A request for another experiment with the last policy, as designed in its iteration.
 
-        The policy takes from the model of that iteration what it takes from a model, as an observer's gains;
-        the study's own has them of the nominal model.
+        Model-based parts of the policy, such as an observer's gains, come from that iteration's model; in the
+        study's own policy they come from the nominal model.
 
         Raises
         ------
@@ -71,10 +71,10 @@ class TrialRecord:
         return ExperimentRequest(task, policy, last.parameters, task.start_mean)
 
     def controller(self) -> Controller:
-        """The controller of the last policy, within `hardware.safety`; errors as of `next_experiment`.
+        """The controller of the last policy, within `hardware.safety`; errors as for `next_experiment`.
 
         >>> controller = simbias.load_trial("trials/7a29f4c5425f").controller()
-        >>> u = controller(x)  # of each frame, from an episode's first one on
+        >>> u = controller(x)  # in each frame, from the first of an episode
         """
         return self.next_experiment.controller()
 
@@ -82,18 +82,18 @@ class TrialRecord:
 def run_trial(study: Study, folder: Path | None = None, observer: Observer | None = None) -> TrialRecord:
     """Run a trial, resume it where it stopped, or replay it if it has ended.
 
-    Steps that the folder holds are not made again; what follows them is as in an uninterrupted trial, to the
-    last bit on one platform. What a component raises is told in the record. Without a folder nothing is kept.
-    Linear algebra runs on one thread, as more would change the last bits of a factorisation.
+    Steps in the folder are not repeated; later steps are as in an uninterrupted trial, to the last bit on one
+    platform. Errors of components are reported in the record. Without a folder, nothing is kept. Linear
+    algebra runs on one thread, as more would change the last bits of a factorisation.
 
     Raises
     ------
     ConfigError
-        If the method cannot work with a component, the folder cannot be written, is another trial's, holds no
-        readable trial.json beside its steps or is changed meanwhile, a trial that ended cannot be replayed,
-        or another process runs this trial.
+        If the method cannot work with a component; if the folder cannot be written, belongs to another trial,
+        lacks a readable trial.json or changes meanwhile; if a finished trial cannot be replayed; or if
+        another process runs this trial.
     KeyboardInterrupt
-        When interrupted; what was done is kept.
+        When interrupted; completed steps are kept.
     """
     study.method.check(study)
     kept = None if folder is None else FolderRecord(folder, study)
@@ -104,15 +104,15 @@ def run_trial(study: Study, folder: Path | None = None, observer: Observer | Non
             record = run.record(*run.ended)
         except EndOfRecord:
             logging.getLogger(__name__).warning(ENDED, study.hash)
-            record = run.record(Outcome.NOT_SUCCEEDED)  # it is shown as it ended
+            record = run.record(Outcome.NOT_SUCCEEDED)  # replaced by its recorded outcome
         except Waiting as reason:
             record = run.record(Outcome.WAITING, f"{run.episode}{words(reason)}")
         except (KeyboardInterrupt, GeneratorExit):
-            with suppress(ConfigError):  # of a folder that is gone, too
+            with suppress(ConfigError):  # also if the folder is gone
                 run.stop(run.record(Outcome.INTERRUPTED))
             raise
-        except BaseException as error:  # also SystemExit, and by what other libraries end their tasks
-            if kept is not None and kept.folder.ended:  # as it is read
+        except BaseException as error:  # also SystemExit, and what other libraries raise to end tasks
+            if kept is not None and kept.folder.ended:  # a finished trial that is replayed
                 if isinstance(error, ConfigError):
                     raise
                 raise ConfigError(
@@ -124,13 +124,13 @@ def run_trial(study: Study, folder: Path | None = None, observer: Observer | Non
 
 
 def read_trial(study: Study, folder: Path) -> TrialRecord:
-    """Read a trial back, also one under way: the same replay, which ends where the folder does.
+    """Read back a trial, even a running one, by replaying its folder.
 
     Raises
     ------
     ConfigError
-        If a step cannot be read or does not fit the study, or the outcome counts other experiments or
-        iterations than there are.
+        If a step cannot be read or does not fit the study, or the outcome's counts of experiments or
+        iterations are wrong.
     """
     kept = FolderRecord(folder, study)
     run = _Run(study, kept, Observer())
@@ -139,11 +139,11 @@ def read_trial(study: Study, folder: Path) -> TrialRecord:
             run.run()
         except (EndOfRecord, ConfigError, KeyboardInterrupt, GeneratorExit):
             raise
-        except BaseException:  # of a component, as when the trial stopped
+        except BaseException:  # a component may fail as it did when the trial stopped
             if kept.folder.ended:
                 raise
     record = run.record(Outcome.INTERRUPTED)
-    if (summary := kept.summary(record.summary)) is None:  # it runs, or was killed
+    if (summary := kept.summary(record.summary)) is None:  # it is running, or was killed
         summary = replace(
             record.summary,
             outcome=Outcome.RUNNING if is_locked(folder / LOCK) else Outcome.INTERRUPTED,
@@ -156,7 +156,7 @@ def read_trial(study: Study, folder: Path) -> TrialRecord:
 
 
 class _Run(Observer):
-    """A trial that runs: what it has done so far."""
+    """A running trial, and its progress so far."""
 
     def __init__(self, study: Study, kept: FolderRecord | None, observer: Observer) -> None:
         self._study, self._kept = study, kept
@@ -166,7 +166,7 @@ class _Run(Observer):
         self._made: list[Rollout] = []
         self._unfinished: list[Rollout] = []
         self._policy_test: PolicyTestResult | None = None
-        self.episode = ""  # of the test that is under way, as the beginning of a reason
+        self.episode = ""  # the current test episode, as the beginning of a reason
 
     def run(self) -> None:
         """Run the method, then the test of its last policy."""
@@ -186,7 +186,7 @@ class _Run(Observer):
 
     @property
     def ended(self) -> tuple[Outcome, str]:
-        """Whether the last iteration's policy passed on the hardware, and why not."""
+        """The outcome by the last iteration's policy on the hardware, and the reason if it did not pass."""
         last = self._iterations[-1] if self._iterations else None
         if last is not None and last.succeeded:
             return Outcome.SUCCEEDED, ""
@@ -213,7 +213,7 @@ class _Run(Observer):
         self._iterations.append(iteration)
 
     def stop(self, record: TrialRecord) -> TrialRecord:
-        """Keep how the trial ended or stopped; of one that had ended before, how it did."""
+        """Record how the trial ended or stopped; if it had already ended, use its recorded outcome."""
         if self._kept is not None:
             self._kept.check()
             summary, test = record.summary, self._policy_test

@@ -1,4 +1,4 @@
-"""The files of a trial's steps: those that are replayed, then those that are appended."""
+"""The files of a trial's steps: first replayed, then appended."""
 
 from __future__ import annotations
 
@@ -14,41 +14,41 @@ CHANGED = "was emptied, moved or changed while the trial ran. Put it back as it 
 
 
 class StepFiles:
-    """The steps of a folder, which one process may append to."""
+    """The steps of a folder, to which one process may append."""
 
     def __init__(self, folder: TrialFolder) -> None:
         self.folder = folder
-        self.writes = False  # but in a folder that is held, of a trial that has not ended
-        self._all: list[Path] = []  # those that were there, and those made since, superseded ones, too
+        self.writes = False  # true only in a locked folder of an unfinished trial
+        self._all: list[Path] = []  # existing and new ones, including superseded ones
 
     @cached_property
     def left(self) -> Iterator[Path]:
-        """The steps that are still to be replayed, of those that are there once the folder is held."""
+        """The existing steps that are still to be replayed; listed once the folder is locked."""
         return iter(self.folder.steps())
 
     def begin(self) -> list[Path]:
-        """Write from now on; the steps that there are."""
-        for file in self.folder.path.glob(f"*{PART}"):  # of a process that was killed while it wrote
+        """Start writing; return the existing steps."""
+        for file in self.folder.path.glob(f"*{PART}"):  # left by a process that was killed while writing
             file.unlink()
         self.writes, self._all = True, self.folder.all_steps()
         return self._all
 
     def append(self, kind: str, content: bytes) -> None:
-        """Append a step: whole, and on disk when this returns."""
+        """Append a step, atomically; it is on disk when this returns."""
         self.write(self.next(kind), content)
 
     def next(self, kind: str) -> Path:
-        """The file of the next step; errors as of `check`."""
+        """The file of the next step; errors as for `check`."""
         self.check()
         return self.path(kind)
 
     def path(self, kind: str) -> Path:
-        """The file of a step after those that there are."""
+        """The path of a new step after the existing ones."""
         steps = self._all if self.writes else self.folder.all_steps()
         return self.folder.path / f"{number(steps[-1]) + 1 if steps else 0:04d}_{kind}"
 
     def write(self, file: Path, content: bytes) -> None:
-        """Write the file of a step, which may be there though the disk reports an error."""
+        """Write the file of a step, which may exist even if the disk reports an error."""
         try:
             write_whole(file, content)
         finally:
@@ -56,9 +56,9 @@ class StepFiles:
                 self._all.append(file)
 
     def check(self) -> None:
-        """Hold the folder that is written against what this process has read and written.
+        """Compare the folder with what this process has read and written.
 
-        If it has other steps, or no trial.json, somebody has emptied, moved or changed it: a ConfigError.
+        ConfigError if it has other steps or no trial.json: somebody has emptied, moved or changed it.
         """
         path = self.folder.path
         if self.writes and (self.folder.all_steps() != self._all or not (path / TRIAL).exists()):
@@ -66,12 +66,12 @@ class StepFiles:
 
 
 def missing(path: Path) -> ConfigError:
-    """The error of a file that a trial's folder lacks."""
+    """The error for a file missing from a trial's folder."""
     return ConfigError(str(path), "is missing. Put it back, or move the folder away to begin again")
 
 
 def changed(path: Path) -> ConfigError:
-    """The error of a step that does not fit the trial, as its code or a step before is another or gone."""
+    """The error for a step that does not fit: the trial's code or an earlier step has changed or is gone."""
     there = {*map(number, TrialFolder(path.parent).all_steps())}
     gone = next((index for index in range(number(path)) if index not in there), None)
     code = "its code, a file that it reads or this folder has changed since. Move"

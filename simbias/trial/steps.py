@@ -39,16 +39,17 @@ def search(
 ) -> Search:
     """Optimise the policy in simulation, on a corrected model (the dashed loop of Fig. 1).
 
-    A search that ends above the target cost, by default and at most Z_max, is made again with other random
-    numbers, up to `retries` times, each time on draws from a posterior whose deviations are `posterior_scale`
-    times those before. The best one is returned, with the evaluations of all. Each first evaluates the last
-    policies (p,), LQR policies of `lqr_candidates` models (`simbias.search.lqr`), and those that follow the
-    best of some trajectories (`simbias.search.optimizer.ilqr`) of the model, or of it without its bias.
+    A search that ends above the target cost (by default and at most Z_max) is repeated with other random
+    numbers, up to `retries` times. Each time, the deviations of draws from a posterior are multiplied by
+    `posterior_scale`. The best optimum is returned, with the evaluations of all searches. Each first
+    evaluates the last policies (p,), LQR policies of `lqr_candidates` models (`simbias.search.lqr`), and
+    policies that follow the best of some trajectories (`simbias.search.optimizer.ilqr`), planned on the model
+    with or without its bias.
 
     Raises
     ------
     BudgetSpent
-        If its policy could not be tried.
+        If the budget would not allow trying the resulting policy.
     """
     study.spending.check()
     target = min(study.cost.max_cost, np.inf if target_cost is None else target_cost)
@@ -110,10 +111,10 @@ def experiment(
     count: int,
     before_stop: int | None = None,
 ) -> tuple[Rollout, ...]:
-    """Evaluate a policy that was designed on a model with `count` hardware experiments (Fig. 1's solid loop).
+    """Run `count` hardware experiments with a policy designed on a model (Fig. 1's solid loop).
 
-    After the first `before_stop`, by default all, none follows one that failed; this changes nothing in those
-    of later iterations.
+    After the first `before_stop` experiments (by default all), a failure ends the series. This does not
+    change the experiments of later iterations.
     """
     before_stop = count if before_stop is None else before_stop
     own, rollouts = study.designed_on(model), list[Rollout]()
@@ -125,9 +126,10 @@ def experiment(
 
 
 def random_experiment(study: Study, rng: np.random.Generator, observer: Observer) -> Rollout:
-    """An experiment of its own inputs, for which no policy is needed.
+    """Run an experiment with random inputs, without a policy.
 
-    Each input is at one of its limits, drawn at `RANDOM_KNOTS` times, and linear in time between.
+    At `RANDOM_KNOTS` times, each input is at one of its limits, drawn at random; between them, it is linear
+    in time.
     """
     input_rng, experiment_rng = rng.spawn(2)
     policy = Trajectory(study.task, study.nominal, RANDOM_KNOTS)
@@ -140,15 +142,15 @@ def random_experiment(study: Study, rng: np.random.Generator, observer: Observer
 class ModelVariant(NamedTuple):
     """A way to model the hardware."""
 
-    identifies: bool = True  # the nominal model's parameters
-    corrects: bool = True  # by a bias
+    identifies: bool = True  # whether it identifies the nominal model's parameters
+    corrects: bool = True  # whether it corrects by a bias
 
 
 class Learned(NamedTuple):
     """Result of lines 13 and 14 of Algorithm 1."""
 
     model: Model
-    data: Transitions  # D, residuals against the model's nominal model
+    data: Transitions  # D, with residuals against this model's nominal model
 
 
 def learn(
@@ -179,9 +181,9 @@ def iteration_record(
     search: Search | None = None,
     learning: Learning | None = None,
 ) -> Iteration:
-    """The record of an iteration, which succeeds if all of its experiments do (line 10).
+    """The record of an iteration, which succeeds if all its experiments do (line 10).
 
-    Its hardware cost Z_r is the largest of theirs (line 9); its policy was made on `model`.
+    Its hardware cost Z_r is the largest of its experiments' costs (line 9); its policy was made on `model`.
     """
     cost = max(rollout.cost for rollout in experiments)
     succeeded = all(map(study.passes, experiments))
@@ -190,7 +192,7 @@ def iteration_record(
 
 
 def log_costs(costs: float | Sequence[float]) -> Array:
-    """The logarithms ln Z of costs (k,) or of one; ConfigError unless they are positive."""
+    """The logarithms ln Z of one cost or several (k,); ConfigError unless they are positive."""
     if not (least := np.min(costs)) > 0:
         raise ConfigError("cost", f"is {least:.3g}; this method needs positive costs: it compares ln Z")
     return np.log(costs)

@@ -1,4 +1,4 @@
-"""A study: the components of a trial, composed."""
+"""A study: the composed components of a trial."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from simbias.trial.replay import Record, ReplayedOptimizer
 
 
 class Origin(Protocol):
-    """The config that a study was built from: plain containers, interpolations resolved."""
+    """The config that a study was built from: plain containers with resolved interpolations."""
 
     @property
     def config(self) -> Mapping[str, Any]:
@@ -49,11 +49,11 @@ class Origin(Protocol):
 
     @property
     def choices(self) -> Mapping[str, str]:
-        """The chosen option of every group."""
+        """The chosen option of every config group."""
 
     @property
     def code(self) -> Mapping[str, str]:
-        """Digests of the modules of the user's that its components come from, by name."""
+        """Digests, by name, of the user's modules that define components."""
 
     @property
     def from_environment(self) -> tuple[str, ...]:
@@ -85,12 +85,12 @@ class Study:
     method: Method
     seed: int
     composition: Origin  # what the components were built from
-    hardware_of: Callable[[Task], Hardware]  # constructs the hardware again, for another horizon
-    nominal_of: Callable[[Task], Nominal]  # and the nominal model, for frames of another length
+    hardware_of: Callable[[Task], Hardware]  # reconstructs the hardware for another horizon
+    nominal_of: Callable[[Task], Nominal]  # reconstructs the nominal model for another time step
     conditions: ExperimentConditions = DEFAULT_CONDITIONS  # of hardware experiments
     policy_test: PolicyTest = NO_TEST
     budget: Budget = NO_LIMITS
-    spending: Spending = field(default_factory=Spending)  # of the budget, while a trial runs
+    spending: Spending = field(default_factory=Spending)  # of the budget in a running trial
 
     @property
     def config(self) -> Mapping[str, Any]:
@@ -99,17 +99,17 @@ class Study:
 
     @property
     def choices(self) -> Mapping[str, str]:
-        """The chosen option of every group."""
+        """The chosen option of every config group."""
         return self.composition.choices
 
     @property
     def without_targets(self) -> Study:
-        """The study of what is recorded and identified of the robot: with its task without targets."""
+        """The study for recording and identifying the robot: its task has no targets."""
         return replace(self, task=self.task.without_targets) if self.task.targets else self
 
     @property
     def title(self) -> str:
-        """The choices that tell trials apart, in a few words."""
+        """A short title: the choices that distinguish trials."""
         choices = self.choices
         return (
             f"{choices['method']} on {choices['task']}: nominal {choices['nominal']}, "
@@ -122,7 +122,7 @@ class Study:
         return self.composition.hash
 
     def run(self, observer: Observer | None = None) -> Iterator[Iteration]:
-        """Run the method within the budget; the same seed gives the same records on one kind of machine."""
+        """Run the method within the budget; the same seed gives the same records on machines of one kind."""
         study = replace(
             self,
             hardware=self.checked_hardware,
@@ -134,7 +134,7 @@ class Study:
 
     @property
     def max_experiments(self) -> int:
-        """Hardware experiments of a trial that never succeeds, at most."""
+        """The maximum number of hardware experiments, in a trial that never succeeds."""
         return min(self.method.max_experiments, self.budget.experiments or self.method.max_experiments)
 
     def simulate(
@@ -147,8 +147,8 @@ class Study:
     ) -> Rollout:
         """Roll theta (p,) out in simulation (Eq. 7, 9).
 
-        Without a fitted bias g = 0; without a start (n,) it is the task's mean start; without an identified
-        nominal model it is the study's; without a disturbance there is neither noise nor a push.
+        Defaults: g = 0 without a fitted bias, the task's mean start without a start (n,), the study's nominal
+        model without an identified one, and neither noise nor pushes without a disturbance.
 
         Raises
         ------
@@ -167,17 +167,17 @@ class Study:
         start: Array | None = None,
         observer: Observer | None = None,
     ) -> Rollout:
-        """Run theta (p,) on the hardware once; without a start (n,) from a random one.
+        """Run theta (p,) on the hardware once; the default start (n,) is random.
 
         Raises
         ------
         BudgetSpent
-            If a trial asks for more than its budget allows.
+            If a trial requests more than its budget allows.
         HardwareError
-            If the experiment could not be carried out, did not end in time, or its rollout is not what the
-            contract asks for.
+            If the experiment could not be carried out, did not end in time, or its rollout breaks the
+            contract.
         Waiting
-            If its result is not there yet.
+            If its result is not available yet.
         ValueError
             If theta or the start has another shape.
         """
@@ -194,53 +194,53 @@ class Study:
         return rollout
 
     def passes(self, rollout: Rollout) -> bool:
-        """Whether a rollout, its cost set, is a success: as the task says or, where it does not, the cost."""
+        """Whether a rollout with its cost set is a success, decided by the task or else by the cost."""
         succeeds = None if rollout.failed_at is not None else self.task.succeeds(rollout.states)
         return self.cost.passes(rollout) if succeeds is None else succeeds
 
     @cached_property
     def checked_hardware(self) -> CheckedHardware:
-        """The hardware, its experiments bounded in time and checked."""
+        """The hardware, with experiments limited in time and checked."""
         if isinstance(self.hardware, CheckedHardware):
             return self.hardware
         return CheckedHardware(self.hardware, self.task, self.conditions)
 
     @property
     def checked_bias(self) -> CheckedBias:
-        """The learner, what it gives checked."""
+        """The learner, with checked results."""
         return CheckedBias(self.bias, self.task.without_targets)
 
     def over(self, record: Record) -> Study:
-        """The study, whose searches and experiments are replayed from a record, then kept in it."""
+        """The study with searches and experiments that are replayed from a record, then kept in it."""
         hardware = CheckedHardware(self.hardware, self.task, self.conditions, record)
         return replace(self, hardware=hardware, optimizer=ReplayedOptimizer(self.optimizer, record))
 
     def ask(self) -> ExperimentRequest | None:
-        """The next experiment of a trial whose hardware is you; None once the trial has ended.
+        """The next experiment of a trial in which the caller is the hardware; None once the trial has ended.
 
         >>> while (request := study.ask()) is not None:
         ...     study.tell(run(request.controller(), request.start))
 
-        The trial is in memory alone, whatever `tracking` says. Keep what you tell: a study that is loaded
-        again asks for the same experiments, in the same order, as long as it is told the same.
+        The trial is only in memory, regardless of `tracking`. Keep the rollouts that you tell: a reloaded
+        study asks for the same experiments in the same order, as long as it is told the same rollouts.
         """
         return self.ask_tell.ask()
 
     def tell(self, rollout: Rollout) -> None:
-        """Report the rollout of the experiment that was asked for; the study's hardware is not used.
+        """Report the rollout of the requested experiment; the study's hardware is not used.
 
         Raises
         ------
         ValueError
-            If none was asked for.
+            If no experiment was requested.
         HardwareError
-            If the rollout breaks the contract, or is that of another policy; the question stays open.
+            If the rollout breaks the contract, or is that of another policy; the request stays open.
         """
         self.ask_tell.tell(rollout)
 
     @cached_property
     def ask_tell(self) -> AskTell:
-        """The trial that asks and is told; nobody is asked whether an experiment may be made."""
+        """The ask-and-tell trial; its experiments need no confirmation."""
         unasked = ExperimentConditions(safety=self.conditions.safety)
 
         def refuse(*_: Any) -> NoReturn:
@@ -253,12 +253,12 @@ class Study:
         return AskTell(self.task.without_targets, run)
 
     def designed_on(self, model: Model | None) -> Study:
-        """The study with the policy as it was designed on a model, if on one; it is simulated and run so."""
+        """The study with its policy designed on a model, if one is given, for simulation and hardware."""
         designed = self.policy if model is None else model.policy
         return self if designed is self.policy else replace(self, policy=designed)
 
     def with_horizon(self, horizon: int) -> Study:
-        """The study with another horizon in frames; its hardware is constructed again for it.
+        """The study with another horizon in frames; its hardware is reconstructed.
 
         Its costs are those of the old horizon.
         """
@@ -267,28 +267,28 @@ class Study:
         return replace(self, task=task, hardware=hardware)
 
     def _judged(self, rollout: Rollout, theta: Array) -> Rollout:
-        """A rollout with its cost and the policy that it ran."""
+        """A rollout with its cost and the parameters of its policy."""
         return replace(rollout, cost=self.cost.of(rollout), parameters=theta)
 
     def simulator(self, fitted_bias: FittedBias | None = None, nominal: Nominal | None = None) -> Simulator:
-        """The closed loop on the (identified) nominal model, corrected by a fitted bias; g = 0 without."""
+        """The closed loop on the (identified) nominal model, corrected by a fitted bias (default g = 0)."""
         return simulator(self._corrected(self.policy, fitted_bias, nominal), cost=self.cost)
 
     def model(self, fitted_bias: FittedBias | None = None, nominal: Nominal | None = None) -> Model:
         """The (identified) nominal model, corrected by a fitted bias; g = 0 without one.
 
-        Its policy takes from this model what it takes from a model.
+        The model-based parts of its policy are designed on this model.
         """
         policy = self.policy if nominal is None else self.policy.designed_on(nominal)
         return self._corrected(policy, fitted_bias, nominal)
 
     def _corrected(self, policy: Policy, bias: FittedBias | None, nominal: Nominal | None) -> Model:
-        """The model with a policy as it is."""
+        """The model with an unchanged policy."""
         fitted = self.bias.fit(self.no_data) if bias is None else bias
         return Model(self.task, policy, nominal or self.nominal, fitted)
 
     def first_model(self) -> Model:
-        """The model before any experiment: as declared, or as recordings have identified it."""
+        """The model before any experiment: as declared, or identified from recordings."""
         return self.model(nominal=self.identified(()))
 
     def identified(self, rollouts: Sequence[Rollout]) -> Nominal:
@@ -296,11 +296,11 @@ class Study:
         return self.identification.fit(self.nominal, self.of_robot(rollouts))
 
     def select(self, rollouts: Sequence[Rollout], nominal: Nominal) -> Selection:
-        """Data of experiments to learn from, with residuals against an (identified) nominal model."""
+        """Training data from experiments, with residuals against an (identified) nominal model."""
         return self.samples.select(self.of_robot(rollouts), nominal)
 
     def of_robot(self, rollouts: Iterable[Rollout]) -> list[Rollout]:
-        """Rollouts with the states of the robot alone: nothing is learned of targets."""
+        """Rollouts with only the robot's states: targets are not learned."""
         n = len(self.task.without_targets.states)
         return [rollout.of_states(n) for rollout in rollouts]
 

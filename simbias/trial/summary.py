@@ -1,4 +1,4 @@
-"""How a trial ended or stopped, and what an iteration did: plain numbers and texts, as files keep them."""
+"""Summaries of trials and iterations: plain numbers and texts, as stored in files."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from simbias.core.records import Iteration, Learning
 from simbias.trial import diagnostics
 from simbias.trial.study import Study
 
-COLUMNS = (  # of a table of iterations
+COLUMNS = (  # columns of a table of iterations
     *("iteration", "predicted cost", "hardware cost", "experiments", "samples", "seconds", "what happened"),
 )
-NUMBERS = (  # that every file has
+NUMBERS = (  # numbers in every file
     *("experiments", "iterations", "max_experiments", "max_iterations"),
     *("ended", "seconds", "hardware_seconds"),
 )
-PARAMETERS = ("parameter", "declared", "identified", "5%", "95%", "unit")  # of a table of them
+PARAMETERS = ("parameter", "declared", "identified", "5%", "95%", "unit")  # columns of a table of parameters
 IDENTIFIED = "The quantiles assume that the model lacks nothing: what it lacks may move parameters further."
 
 
 class Outcome(StrEnum):
-    """How a trial ended, or why it stopped; `verdict` says it at the head of a sentence."""
+    """How a trial ended, or why it stopped; `verdict` is the first word of a sentence about it."""
 
     SUCCEEDED = "succeeded"
     NOT_SUCCEEDED = "not succeeded"
     WAITING = "waiting"  # for the result of an experiment; the same command resumes
-    INTERRUPTED = "interrupted"  # likewise
-    RUNNING = "running"  # of a trial that is read while a process runs it; in no file
-    ERROR = "error"  # likewise, once its cause is mended
+    INTERRUPTED = "interrupted"  # the same command resumes
+    RUNNING = "running"  # a trial that is read while a process runs it; never stored
+    ERROR = "error"  # the same command resumes, once the cause is mended
 
     @property
     def verdict(self) -> str:
@@ -49,37 +49,37 @@ class Outcome(StrEnum):
 
     @property
     def final(self) -> bool:
-        """Whether the trial has ended, and would end so again."""
+        """Whether the trial has ended, and would end the same way if repeated."""
         return self in (Outcome.SUCCEEDED, Outcome.NOT_SUCCEEDED)
 
 
 @dataclass(frozen=True)
 class TrialSummary:
-    """A trial in numbers, up to its end or to where it stopped; numbers that it lacks are nan."""
+    """A trial in numbers, up to its end or to where it stopped; missing numbers are nan."""
 
     outcome: Outcome
-    reason: str = ""  # of an error its type and message; else a sentence
+    reason: str = ""  # for an error, its type and message; else a sentence
     traceback_file: str = ""
-    experiments: int = 0  # on hardware, made so far
+    experiments: int = 0  # on hardware, so far
     iterations: int = 0  # finished so far
-    max_experiments: int = 0  # that the method may make
+    max_experiments: int = 0  # that the method may run
     max_iterations: int = 0
-    ended: float = nan  # or stopped, s since the epoch; nan if it runs, or was killed
-    seconds: float = 0.0  # wall time, of all processes that ran it; of one killed, that of its iterations
+    ended: float = nan  # or stopped, s since the epoch; nan if it is running, or was killed
+    seconds: float = 0.0  # wall time of all processes that ran it; of a killed one, that of its iterations
     hardware_seconds: float = 0.0  # duration of the experiments
     test_episodes: str = ""  # of the last policy: 1 for each that counts as a success, 0 for each other
-    lasting_episodes: str = ""  # likewise, 1 for each that lasts to its own end
-    holding_episodes: str = ""  # likewise, 1 for each that lasts as long as an experiment
+    lasting_episodes: str = ""  # of the last policy: 1 for each that lasts to its own end
+    holding_episodes: str = ""  # of the last policy: 1 for each that lasts as long as an experiment
     success_rate: float = nan  # share of test episodes
-    long_success_rate: float = nan  # likewise, of the long ones
-    long_seconds: float = nan  # mean duration of these
-    policy: str = ""  # a digest of the last one's parameters
+    long_success_rate: float = nan  # share of the long test episodes
+    long_seconds: float = nan  # mean duration of the long test episodes
+    policy: str = ""  # a digest of the last policy's parameters
     test_words: str = ""  # the test in one sentence
-    claim: str = ""  # of the last policy, by the trial's own experiments: holds 90% of starts (80% to 96%)
-    claimed_share: float = nan  # of starts, at least
-    platforms: tuple[str, ...] = ()  # that it ran on: two if it was resumed elsewhere
-    processor: str = ""  # model of the last one's
-    diagnostics: tuple[str, ...] = ()  # what is odd about it
+    claim: str = ""  # by its experiments, about the last policy: holds 90% of starts (80% to 96%)
+    claimed_share: float = nan  # lower bound on the share of starts
+    platforms: tuple[str, ...] = ()  # two if it was resumed elsewhere
+    processor: str = ""  # model of the last platform's processor
+    diagnostics: tuple[str, ...] = ()  # oddities of the trial
 
     @property
     def stopped_by(self) -> str:
@@ -100,22 +100,22 @@ class TrialSummary:
 
     @property
     def experiments_until_success(self) -> float:
-        """Experiments; without success all that the method may make; nan if the trial has not ended."""
+        """Experiments until success; without success the method's maximum; nan if the trial has not ended."""
         return self._until_success(self.experiments, self.max_experiments)
 
     @property
     def iterations_until_success(self) -> float:
-        """Iterations; without success all that the method may make; nan if the trial has not ended."""
+        """Iterations until success; without success the method's maximum; nan if the trial has not ended."""
         return self._until_success(self.iterations, self.max_iterations)
 
     def _until_success(self, count: int, most: int) -> float:
-        """A count, censored where the trial did not succeed."""
+        """A count until success, censored at `most` without success."""
         if not self.outcome.final:
             return nan
         return float(count if self.outcome is Outcome.SUCCEEDED else max(count, most))
 
     def metrics(self) -> dict[str, float]:
-        """The numbers by name, `group/name`, without those that the trial lacks."""
+        """The numbers by name, `group/name`, without missing ones."""
         numbers = {
             "trial/experiments": self.experiments_until_success,
             "trial/iterations": self.iterations_until_success,
@@ -128,8 +128,8 @@ class TrialSummary:
         return {name: value for name, value in numbers.items() if isfinite(value)}
 
     def as_json(self) -> dict[str, Any]:
-        """A mapping of JSON's types, of which `from_json` makes the same again."""
-        values = {k: None if v != v else v for k, v in asdict(self).items()}  # NaN is no JSON
+        """A mapping of JSON's types, which `from_json` reads back."""
+        values = {k: None if v != v else v for k, v in asdict(self).items()}  # JSON has no NaN
         return {**values, "platforms": list(self.platforms), "diagnostics": list(self.diagnostics)}
 
     @staticmethod
@@ -147,12 +147,12 @@ class TrialSummary:
 
 @cache
 def _adapter() -> TypeAdapter[TrialSummary]:
-    """Validates summaries; to make it takes longer than to read hundreds of them."""
+    """The validator of summaries; constructing it takes longer than reading hundreds of them."""
     return TypeAdapter(TrialSummary)
 
 
 def iteration_summary(study: Study, iteration: Iteration, earlier: Sequence[Iteration]) -> dict[str, Any]:
-    """An iteration after earlier ones, in JSON's types: policy, costs, what was learned, what happened."""
+    """An iteration after earlier ones, in JSON's types: policy, costs, learning, events."""
     search, gains = iteration.search, getattr(study.policy, "gains", None)
     summary: dict[str, Any] = {
         "iteration": iteration.index,
@@ -174,12 +174,12 @@ def iteration_summary(study: Study, iteration: Iteration, earlier: Sequence[Iter
 
 
 def _events(study: Study, iteration: Iteration, earlier: Sequence[Iteration]) -> Iterator[str]:
-    """The events of an iteration in words: why experiments are no success, and everything odd."""
+    """The events of an iteration in words: why experiments do not succeed, and everything odd."""
     yield from diagnostics.of_experiments(iteration.experiments, study)
     said = {remark.kind for remark in diagnostics.of_trial(earlier, study)}
     said |= {"model cleared" for each in earlier if each.learning and each.learning.reset}
     resets = diagnostics.of_reset(iteration, study.cost.max_cost)
-    for remark in chain(resets, diagnostics.of_iteration(iteration, earlier, study)):  # in full once
+    for remark in chain(resets, diagnostics.of_iteration(iteration, earlier, study)):  # once in full
         yield remark.kind if remark.kind in said else remark.words
 
 

@@ -1,4 +1,4 @@
-"""Compile what a trial needs before it begins."""
+"""Compile the functions that a trial needs, before it begins."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from simbias.core import SlowWarning
 from simbias.core.records import Array, Transitions
 from simbias.trial.study import Study
 
-SECONDS = 0.2  # of a rollout that is learned from, so that what learns is compiled
+SECONDS = 0.2  # of a rollout to learn from, so that the learner is compiled
 
 
 def warm_up(study: Study) -> None:
-    """Compile what a simulated rollout and a search need, so that none begins with it."""
+    """Compile the functions that simulated rollouts and searches need."""
     study = replace(study, bias=study.checked_bias)
     theta, rng = np.clip(0.0, *study.policy.bounds), np.random.default_rng(0)
     n, m = len(study.task.without_targets.states), len(study.task.inputs)
     some_data = Transitions(rng.standard_normal((2, n + m)), rng.standard_normal((2, n)))
     _compile(study, study.no_data, theta, rng)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", SlowWarning)  # which has just been given
-        _compile(study, some_data, theta, rng)  # a bias may have another kernel once it has learned
+        warnings.simplefilter("ignore", SlowWarning)  # already given
+        _compile(study, some_data, theta, rng)  # a fitted bias may have another kernel
 
 
 def _compile(study: Study, data: Transitions, theta: Array, rng: np.random.Generator) -> None:
-    """Compile what is needed with the bias that is learned from some data."""
+    """Compile the functions needed with the bias learned from some data."""
     fitted_bias = study.bias.fit(data)
     rollout = study.simulate(theta, fitted_bias)
     if len(data):

@@ -19,8 +19,8 @@ from simbias.trial.study import Study
 class Algorithm1(Method):
     """Alternate policy search in simulation with hardware experiments and learning from them.
 
-    The listing, not Section V's prose, decides what follows a search that ends above Z_max: the model is
-    cleared (line 7), and the policy is still tried on hardware (line 9).
+    After a search that ends above Z_max, the listing applies, not Section V's prose: the model is cleared
+    (line 7), and the policy is still tried on hardware (line 9).
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class Algorithm1(Method):
         search_rng, hardware_rng = rng.spawn(2)
         data, model = study.no_data, study.first_model()  # 1
         experiments: list[Rollout] = []
-        learned_from: list[tuple[Rollout, ...]] = []  # those of them that D comes from
+        learned_from: list[tuple[Rollout, ...]] = []  # the experiments that D comes from
         for i in range(self.max_iterations):  # 2, 3, 15
             clock = Stopwatch()
             with clock("search"):

@@ -1,4 +1,4 @@
-"""A residual on the task's error in place of the state: how much more a policy costs than predicted."""
+"""A residual of the cost instead of the state: how much more a policy costs than predicted."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ from simbias.trial.observer import Observer
 from simbias.trial.steps import Stopwatch, experiment, iteration_record, log_costs
 from simbias.trial.study import Study
 
-NOISE = 0.01  # variance of ln Z from start to start, over that of the residual
+NOISE = 0.01  # variance of ln Z between starts, relative to that of the residual
 
 
 @dataclass(eq=False)
 class CostResidual(Method):
-    """Search where ln Z in simulation, and what experiments may add to it, are least together.
+    """Minimise ln Z in simulation plus a learned residual of ln Z.
 
-    The residual, ln Z_r - ln Z_g of each policy that was tried, is a Gaussian process over the policy's
-    parameters, as in Bayesian optimisation with a simulation as prior (Cully et al., Nature 521, 2015). Its
-    lower confidence bound is added, so that what is not known is tried. The model stays as it is.
+    The residual, ln Z_r - ln Z_g of each policy tried, is a Gaussian process over the policy's parameters, as
+    in Bayesian optimisation with a simulation as prior (Cully et al., Nature 521, 2015). Its lower confidence
+    bound is added, which favours exploration. The model itself does not change.
 
     Parameters
     ----------
     max_iterations
-        Policies that are tried.
+        The maximum number of policies tried.
     experiments
-        Hardware experiments of an iteration, which end with the first that fails.
+        Hardware experiments per iteration; the first failure ends them.
     length_scale
-        Of the process, over the width of the parameters' box.
+        Length scale of the Gaussian process, relative to the width of the parameters' box.
     lqr_candidates
-        Models whose LQR policies a search evaluates first.
+        Number of models whose LQR policies a search evaluates first.
     """
 
     max_iterations: Count = 10
@@ -57,7 +57,7 @@ class CostResidual(Method):
         tried, residuals = np.empty((0, len(lower))), np.empty((0, 1))
         for index in range(self.max_iterations):
             clock = Stopwatch()
-            with clock("search"):  # the same scenarios, also the fresh ones: a replayed search draws none
+            with clock("search"):  # the same scenarios each time, as a replayed search draws none
                 predicted = study.evaluation.objective(model, study.cost, deepcopy(scenario_rng))
                 residual = exact(hyper, Transitions(tried, residuals))
                 cost = Mapped(predicted, partial(_corrected, residual))
@@ -80,6 +80,6 @@ class CostResidual(Method):
 
 
 def _corrected(residual: GPPosterior, thetas: Array, costs: Array) -> Array:
-    """Costs (k,) of policies (k, p), as by the residual: one deviation below its mean."""
+    """Costs (k,) of policies (k, p), corrected by the residual's mean minus one standard deviation."""
     mean, variance = residual.predict(thetas)
     return costs * np.exp(mean[:, 0] - np.sqrt(variance[:, 0]))

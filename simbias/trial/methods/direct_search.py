@@ -22,12 +22,12 @@ from simbias.trial.study import Study
 
 Proposals = Generator[Array, float, None]  # policies (p,) to try, each answered by its cost
 BOX = 4.0  # half width of Bayesian optimisation's box around a policy, in deviations
-FIRST = 2  # policies by chance for each parameter, before Bayesian optimisation has a model
+FIRST = 2  # random policies per parameter, before Bayesian optimisation has a model
 
 
 @dataclass(eq=False)
 class DirectSearch(Method):
-    """Try policies on hardware, each chosen by the costs of those before.
+    """Try policies on hardware, each chosen by the costs of the earlier ones.
 
     Parameters
     ----------
@@ -37,12 +37,12 @@ class DirectSearch(Method):
     begin
         "cold", at the box's centre, or "lqr", at the policy that imitates the nominal model's LQR.
     deviation
-        Of the first generation around it, in units of the box's width; Bayesian optimisation stays within
-        four of them.
+        Standard deviation of the first generation around this policy, in units of the box's width; Bayesian
+        optimisation stays within four deviations.
     max_iterations
-        Policies that are tried.
+        The maximum number of policies tried.
     experiments
-        Passes in a row by which a policy succeeds; experiments with it end with the first that fails.
+        Consecutive passes by which a policy succeeds; the first failure ends its experiments.
     """
 
     strategy: Literal["cma", "bayesian"] = "cma"
@@ -52,11 +52,11 @@ class DirectSearch(Method):
     experiments: Count = 2
 
     def check(self, study: Study) -> None:
-        """Refuse a policy that imitates no LQR, and a model that has none, if it is to begin there."""
+        """If the search begins at the LQR, refuse a policy that cannot imitate it or a model without one."""
         self._start(study, None if self.begin == "cold" else study.model())
 
     def _start(self, study: Study, model: Model | None) -> Array:
-        """The policy (p,) that it begins with: the LQR of a model, or the middle of the bounds."""
+        """The first policy (p,): the one that imitates a model's LQR, or the middle of the bounds."""
         if model is None:
             lower, upper = study.policy.bounds
             return 0.5 * (lower + upper)
@@ -66,7 +66,7 @@ class DirectSearch(Method):
         return policies[0]
 
     def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
-        """Yield a record of every policy that is tried; errors as of `check`."""
+        """Yield a record of every policy that is tried; errors as for `check`."""
         proposal_rng, hardware_rng = rng.spawn(2)
         model = None if self.begin == "cold" else study.first_model()
         start = self._start(study, model)
@@ -85,7 +85,7 @@ class DirectSearch(Method):
 
 
 def _cma(lower: Array, upper: Array, start: Array, deviation: float, rng: np.random.Generator) -> Proposals:
-    """The start, then CMA-ES around it, again and again."""
+    """Propose the start, then policies of repeated runs of CMA-ES around it."""
     yield start
     while True:
         evolution = strategy(lower, upper, rng, start, deviation)
@@ -99,7 +99,7 @@ def _cma(lower: Array, upper: Array, start: Array, deviation: float, rng: np.ran
 def _bayesian(
     lower: Array, upper: Array, start: Array, deviation: float, rng: np.random.Generator
 ) -> Proposals:
-    """The start, some by chance, then the most promising ones, in a box around it."""
+    """Propose the start, random policies, then the most promising ones, in a box around the start."""
     optimization = library("bayes_opt", "bayesian-optimization", "study").BayesianOptimization
     reach = BOX * deviation * (upper - lower)
     low, high = np.maximum(lower, start - reach), np.minimum(upper, start + reach)

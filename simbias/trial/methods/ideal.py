@@ -19,17 +19,17 @@ from simbias.trial.study import Study
 
 @dataclass(eq=False)
 class Ideal(Method):
-    """Search on the engine of a simulated hardware, with its gaps and noise, then experiment once.
+    """Search on the simulated hardware itself, with its gaps and noise, then experiment once.
 
-    What this policy does not hold, the policy class or the optimizer does not. It begins with the LQR
+    If this policy fails, the policy class or the optimizer is the limit. The search begins with the LQR
     policies of the nominal model.
 
     Parameters
     ----------
     experiments
-        Hardware experiments with the policy that is found.
+        Hardware experiments with the resulting policy.
     rollouts
-        Starts of which a policy costs the mean.
+        Number of starts over which a policy's cost is averaged.
     """
 
     max_iterations = 1
@@ -41,7 +41,7 @@ class Ideal(Method):
         check_simulator(study.hardware)
 
     def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
-        """Yield the record of the only iteration; errors as of `check`."""
+        """Yield the record of the only iteration; errors as for `check`."""
         scenario_rng, search_rng, hardware_rng = rng.spawn(3)
         clock, model = Stopwatch(), study.first_model()
         with clock("search"):

@@ -1,4 +1,4 @@
-"""The direction of improvement from the model, the cost from the hardware."""
+"""Policy gradient from an inaccurate model, cost from the hardware."""
 
 from __future__ import annotations
 
@@ -16,25 +16,26 @@ from simbias.trial.observer import Observer
 from simbias.trial.steps import Stopwatch, experiment, iteration_record, log_costs, search
 from simbias.trial.study import Study
 
-NEAR = 1e-3  # of the box's width, to both sides of a policy, for derivatives
+NEAR = 1e-3  # of the box's width: half the step of central differences
 
 
 @dataclass(eq=False)
 class InaccurateModel(Method):
     """Improve a policy along the gradient of a model that is made exact along the last experiment.
 
-    Abbeel, Quigley and Ng (ICML 2006): what the model missed in each frame of the experiment is added to its
-    step, so that it reproduces this one. There the cost is derived by the policy's parameters. How far to go
-    is tried on hardware: a step that does not cost less is halved. The first policy is searched on the model.
+    Abbeel, Quigley and Ng (ICML 2006): the model's error in each frame of the experiment is added to its
+    step, so that it reproduces the experiment. The gradient of the cost with respect to the policy's
+    parameters is taken there. The step size is tested on hardware: a step that does not reduce the cost is
+    halved. The first policy is searched on the model.
 
     Parameters
     ----------
     step
         First step along the gradient of ln Z, in units of the box's width.
     max_iterations
-        Policies that are tried.
+        The maximum number of policies tried.
     experiments
-        Hardware experiments of an iteration, which end with the first that fails.
+        Hardware experiments per iteration; the first failure ends them.
     """
 
     step: Deviation = 0.02
@@ -82,7 +83,7 @@ def gradient(study: Study, model: Model, theta: Array, experiment: Rollout) -> A
 def along(model: Model, thetas: Array, experiment: Rollout) -> list[Rollout]:
     """Rollouts of thetas (k, p) from an experiment's start, on the model made exact along it."""
     task, nominal, policy, k = model.task, model.nominal, model.policy, len(thetas)
-    n = len(task.without_targets.states)  # behind them, targets stay as they are
+    n = len(task.without_targets.states)  # targets, which follow, stay constant
     recorded = experiment.of_states(n)
     missed = recorded.states[1:] - nominal.along(recorded.states[:-1], recorded.inputs)
     states = np.empty((k, task.horizon + 1, len(task.states)))
@@ -98,6 +99,6 @@ def along(model: Model, thetas: Array, experiment: Rollout) -> list[Rollout]:
         inputs[:, t], policy_state = policy.act(thetas, states[:, t], t * task.time_step, policy_state)
         following, model_state = nominal.advance(states[:, t, :n], inputs[:, t], model_state)
         states[:, t + 1, :n] = following + (missed[t] if t < len(missed) else 0.0)
-        states[violated >= 0, t + 1] = states[violated >= 0, t]  # where it has fallen, nothing overflows
+        states[violated >= 0, t + 1] = states[violated >= 0, t]  # freeze failed rollouts: no overflow
     ends = zip(frames.tolist(), violated.tolist(), strict=True)
     return [record(task.criteria, x, u, *end) for x, u, end in zip(states, inputs, ends, strict=True)]

@@ -21,35 +21,35 @@ from simbias.trial.study import Study
 
 @dataclass(eq=False)
 class Lqr(Method):
-    """Try the policy that imitates the LQR of the nominal model; if asked for, of the identified one then.
+    """Try the policy that imitates the LQR of the nominal model, and optionally of identified models.
 
     The model is linearised by differences over 0.1 of each state's unit and of each input's limit, so that
-    friction, which is steep near rest, is not mistaken for damping. So gains differ from those of exact
-    derivatives: by up to 7% for the paper's robot, by 1% at most for the cart-poles.
+    friction, which is steep near rest, is not mistaken for damping. Gains therefore differ from those of
+    exact derivatives by up to 7% for the paper's robot, and by at most 1% for the cart-poles.
 
     Parameters
     ----------
     input_weight
-        Weight of the squared inputs at their limits, that of the squared deviation of a state by one unit
-        being 1: smaller ones give quicker regulators.
+        Weight of a squared input at its limit, relative to a squared state deviation of one unit. Smaller
+        weights give faster regulators.
     experiments
         Hardware experiments of an iteration.
     passes
-        Experiments that a policy has to pass to succeed, at least `experiments`, which is what None means;
-        those beyond are made only as long as all are passed.
+        Experiments that a policy has to pass to succeed, at least `experiments`. None: `experiments`.
+        Experiments beyond these are made only as long as all are passed.
     identified
-        A failure is learned from: the nominal model's parameters are identified from all experiments, and the
-        policy is designed again.
+        Whether to learn from a failure: the nominal model's parameters are identified from all experiments,
+        and the policy is redesigned.
     integral_weight
-        Weight of the squared integrals over time of what the policy integrates, which makes it LQI: a steady
-        disturbance leaves no error. 0: no integral.
+        Weight of the squared time integrals of the quantities that the policy integrates. It turns LQR into
+        LQI: a steady disturbance leaves no error. 0: no integral.
     max_iterations
-        Designs, with identification; without, there is one.
+        The maximum number of designs, with identification; without it there is one.
     sticking
-        Dry friction is taken for the damping that it looks like at rest (`simbias.search.lqr`).
+        Whether dry friction is treated as the damping that it resembles at rest (`simbias.search.lqr`).
     confidence
-        Share of starts that a trial has to know that its policy holds: success takes as many passes as bound
-        it by that (`simbias.trial.claim`), regardless of `passes`. None: it does not ask.
+        Share of starts that the policy must be shown to hold: success takes as many passes as establish this
+        bound (`simbias.trial.claim`), regardless of `passes`. None: not required.
     """
 
     input_weight: Scale = INPUT_WEIGHTS[1]
@@ -71,7 +71,7 @@ class Lqr(Method):
         return passes_for(self.confidence, policy, self.experiments, self.passes)
 
     def check(self, study: Study) -> None:
-        """Refuse a policy that imitates no such regulator, and a model that has none."""
+        """Refuse a policy that cannot imitate such a regulator, or a model that has none."""
         self._design(study.model())
 
     def _design(self, model: Model) -> Array:
@@ -84,7 +84,7 @@ class Lqr(Method):
         return theta
 
     def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
-        """Yield a record of every iteration; errors as of `check`."""
+        """Yield a record of every iteration; errors as for `check`."""
         model, experiments = study.first_model(), list[Rollout]()
         for index in range(self.max_iterations):
             clock = Stopwatch()

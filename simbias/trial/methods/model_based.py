@@ -1,4 +1,4 @@
-"""Algorithm 1 with what saves hardware experiments."""
+"""Algorithm 1 with options that save hardware experiments."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from simbias.trial.study import Study
 
 @dataclass(eq=False)
 class ModelBased(Method):
-    """Alternate policy search in simulation with hardware experiments and learning, as Algorithm 1 does.
+    """Alternate policy search in simulation with hardware experiments and learning, like Algorithm 1.
 
-    With the defaults it is Algorithm 1.
+    With the defaults, it is Algorithm 1.
 
     Parameters
     ----------
@@ -37,46 +37,45 @@ class ModelBased(Method):
     experiments
         Hardware experiments of an iteration.
     keep_data
-        Data outlive a search that ends above Z_max, where Algorithm 1 clears the model.
+        Whether to keep the data after a search that ends above Z_max, where Algorithm 1 clears the model.
     stop_at_failure
-        An iteration ends its experiments with the first that fails: the policy is refuted, and the next one
-        may teach more.
+        Whether the first failure ends an iteration's experiments: the policy is refuted, and the next one may
+        be more informative.
     retry_search
-        How often a search that does not end below the target cost is made again before hardware is spent on
-        its policy.
+        How often a search that ends above the target cost is repeated before hardware is spent on its policy.
     target_cost
-        Predicted cost Z below which a search has succeeded, at most Z_max, which is what None means.
+        Predicted cost Z below which a search has succeeded, at most Z_max. None: Z_max.
     posterior_scale
-        In each further search, models are drawn from an identified posterior with the deviations before times
-        this: no policy may hold on all that few data allow.
+        In each repeated search, the deviations of models drawn from an identified posterior are multiplied by
+        this factor: with few data, no policy may hold on all plausible models.
     passes
-        Experiments that a policy has to pass to succeed, at least `experiments`, which is what None means;
-        those beyond are made only as long as all are passed.
+        Experiments that a policy has to pass to succeed, at least `experiments`. None: `experiments`.
+        Experiments beyond these are made only as long as all are passed.
     confidence
-        Share of starts that a trial has to know that its policy holds: success takes as many passes as bound
-        it by that (`simbias.trial.claim`), regardless of `passes`. None: it does not ask.
+        Share of starts that the policy must be shown to hold: success takes as many passes as establish this
+        bound (`simbias.trial.claim`), regardless of `passes`. None: not required.
     model_selection
-        Search on the model that predicts experiments best which it did not learn from: the nominal one as
-        declared, with identified parameters, or with a bias too (`simbias.trial.model_selection`); else on
-        the last.
+        Whether to search on the model that best predicts held-out experiments: the nominal model as declared,
+        with identified parameters, or also with a bias (`simbias.trial.model_selection`). Otherwise the last
+        model is used.
     margin
-        Standard errors by which a model has to predict better than a simpler one to be selected.
+        Number of standard errors by which a model has to predict better than a simpler one to be selected.
     from_last
-        A search evaluates the last policy first, and may begin there.
+        Whether a search evaluates the last policy first; it may begin there.
     first_policy
-        A file with a policy's `parameters`, as of a search or an iteration in another trial's folder: the
-        first search evaluates it first, and may begin there.
+        A file with a policy's `parameters`, such as a search or an iteration in another trial's folder. The
+        first search evaluates this policy first, and may begin there.
     lqr_candidates
-        Number of models, the most probable one and draws, whose LQR policies (`simbias.search.lqr`) a search
+        Number of models (the most probable one and draws) whose LQR policies (`simbias.search.lqr`) a search
         evaluates first.
     trajectories
-        Number of trajectories that a search plans on the model (`simbias.search.optimizer.ilqr`), beginning
-        at different inputs; it evaluates policies first that follow the best one. Only `from_last` compares
-        them with the last policy, which the hardware has refuted but which may cost less on the corrected
-        model. It needs policy=trajectory.
+        Number of trajectories that a search plans on the model (`simbias.search.optimizer.ilqr`), from
+        different initial inputs. The search first evaluates policies that follow the best one. Only with
+        `from_last` are they compared with the last policy, which the hardware has refuted but which may cost
+        less on the corrected model. Requires policy=trajectory.
     random_experiments
-        Experiments before the first search, each with random inputs in place of a policy: J of PILCO. They
-        count, and are learned from.
+        Experiments with random inputs instead of a policy before the first search (J in PILCO). They count as
+        experiments, and are learned from.
     """
 
     max_iterations: Count = 10
@@ -101,7 +100,7 @@ class ModelBased(Method):
 
     @property
     def source_files(self) -> list[Path]:
-        """The first policy's file, if it is there."""
+        """The first policy's file, if it exists."""
         file = Path(self.first_policy or "")
         return [file] if file.is_file() else []
 
@@ -127,7 +126,7 @@ class ModelBased(Method):
         search_rng, hardware_rng = rng.spawn(2)
         data, model = study.no_data, study.first_model()
         experiments: list[Rollout] = []
-        learned_from: list[tuple[Rollout, ...]] = []  # those of them that D comes from
+        learned_from: list[tuple[Rollout, ...]] = []  # the experiments that D comes from
         last: Iterable[Array] = self._known(study)
         for random_rng in hardware_rng.spawn(self.random_experiments):
             experiments.append(random_experiment(study, random_rng, observer))
@@ -187,7 +186,7 @@ class ModelBased(Method):
         )
 
     def _known(self, study: Study) -> Iterator[Array]:
-        """The first policy's parameters (p,), if there is one; read when a search asks, not in a replay."""
+        """The first policy's parameters (p,), if given; read when a search needs them, not in a replay."""
         if self.first_policy is None:
             return
         theta, p = read_json(Path(self.first_policy)).get("parameters"), study.policy.n_parameters
@@ -197,7 +196,7 @@ class ModelBased(Method):
 
 
 def _check_random_inputs(task: Task) -> None:
-    """Refuse a task whose inputs cannot be drawn at their limits and played without feedback."""
+    """Refuse a task whose inputs cannot be drawn at their limits and applied without feedback."""
     if task.targets:
         raise ConfigError("method.random_experiments", "a task with targets can have none")
     for each, largest in zip(task.inputs, np.max(np.abs(task.input_bounds), axis=0).tolist(), strict=True):

@@ -1,4 +1,4 @@
-"""Simulators of rising fidelity, then the hardware."""
+"""Policy search on simulators of increasing fidelity, then on the hardware."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ from simbias.trial.study import Study
 
 @dataclass(eq=False)
 class MultiFidelity(Method):
-    """Search on the nominal model, go on from there on a better simulator, end on the hardware.
+    """Search on the nominal model, continue on a better simulator, and end on the hardware.
 
-    After Cutler, Walsh and How (IEEE T-RO 31, 2015): cheap simulators are exhausted before dear ones are
-    asked, what the dear ones say corrects the cheapest, and no level is gone back to that has been refuted.
-    They do so for discrete actions; here each level is a policy search that begins with the last one's
-    optimum. Without a simulator in the middle, the levels are the model and the hardware.
+    After Cutler, Walsh and How (IEEE T-RO 31, 2015): cheap simulators are exhausted before expensive ones are
+    used, results of the expensive ones correct the cheapest, and the search never returns to a refuted level.
+    They treat discrete actions; here each level is a policy search that begins at the last level's optimum.
+    Without a simulator in the middle, the levels are the model and the hardware.
 
     Parameters
     ----------
     hardware_from
-        Constructs the simulator for a task.
+        Constructs the intermediate simulator for a task.
     middle
-        Its config, as an option of the group `hardware`; None: there is none.
+        Its config, an option of the group `hardware`; None: no intermediate simulator.
     rollouts
-        Starts on it, of which a policy costs the mean.
+        Number of starts on it over which a policy's cost is averaged.
     max_iterations
-        Policies that are tried on the hardware.
+        The maximum number of policies tried on the hardware.
     experiments
-        Hardware experiments of an iteration, which end with the first that fails.
+        Hardware experiments per iteration; the first failure ends them.
     lqr_candidates
-        Models whose LQR policies a search on the model evaluates first.
+        Number of models whose LQR policies a search on the model evaluates first.
     """
 
     hardware_from: Callable[[Mapping[str, Any]], Hardware]
@@ -54,7 +54,7 @@ class MultiFidelity(Method):
         self._middle = None if self.middle is None else self.hardware_from(self.middle)
 
     def check(self, study: Study) -> None:
-        """Refuse what is no simulator in the middle."""
+        """Refuse an intermediate level that is not a simulator."""
         if self._middle is not None:
             check_simulator(self._middle, "method.middle")
 
@@ -76,7 +76,7 @@ class MultiFidelity(Method):
                     optimum = study.optimizer.minimize(cost, *box, own_rng, target, [theta])
                     found, theta = Search(optimum, optimum.cost), optimum.parameters
                     observer.designed(theta, model, found)
-                    middle = None  # it has said what it knows
+                    middle = None  # this level is exhausted
             with clock("experiments"):
                 rollouts = experiment(study, model, theta, hardware_rng, observer, self.experiments, 1)
             experiments += rollouts

@@ -19,14 +19,14 @@ from simbias.trial.study import Study
 class OneShot(Method):
     """Learn once, from a batch of experiments with the nominal model's policy (Ko et al., ICRA 2007).
 
-    The process is not iterated: what the first policy did not meet is not learned.
+    Learning is not iterated: states that the first policy did not visit are not learned.
 
     Parameters
     ----------
     batch
-        Hardware experiments that are learned from.
+        Hardware experiments to learn from.
     experiments
-        Hardware experiments with the policy that is found then.
+        Hardware experiments with the policy found afterwards.
     """
 
     max_iterations = 2
@@ -37,7 +37,7 @@ class OneShot(Method):
         self.max_experiments = self.batch + self.experiments
 
     def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
-        """Yield the records of the batch, which ends the trial if all of it succeeds, and of what follows."""
+        """Yield the record of the batch, whose full success ends the trial, then that of the new policy."""
         search_rng, hardware_rng = rng.spawn(2)
         data, model, made = study.no_data, study.first_model(), 0
         for index, count in enumerate((self.batch, self.experiments)):
