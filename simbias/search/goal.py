@@ -1,4 +1,4 @@
-"""The task's goal over time, as what is planned and regulated meets it."""
+"""The task's goal over time, for planning and regulation."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from simbias.core.records import Array
 def goal_along(task: Task) -> Array:
     """The goal's quantities (T+1, g), frame by frame.
 
-    Those that wrap are without jumps by a turn, and begin within half a turn of the mean start.
+    Quantities that wrap are unwound, and begin within half a turn of the mean start.
     """
     goal = np.array([task.reference(t) for t in task.time_step * np.arange(task.horizon + 1)])
     turns = np.array([each.turn for each in task.goals])
@@ -28,9 +28,9 @@ def moves(goal: Array) -> bool:
 
 
 def resting_goal(task: Task) -> Array | None:
-    """The states (n,) of a goal that does not move; those that it is not about are zero.
+    """The states (n,) of a goal that does not move; states outside the goal are zero.
 
-    None where all are zero, and where the goal is about outputs, which a warning says.
+    None if all are zero, or if the goal is stated in outputs, with a warning.
     """
     goal = goal_along(task)
     if moves(goal):

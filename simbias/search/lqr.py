@@ -1,8 +1,8 @@
-"""Policies that come near to linear-quadratic regulators (LQR) of the model.
+"""Policies that imitate linear-quadratic regulators (LQR) of the model.
 
-Costs of policies that fall say little about which policies do not. For the model, linearised where the robot
-can rest, near zero or at a goal that rests elsewhere, theory gives a regulator. It sees the whole state, with
-what a delay or a lag hides. A policy that sees less imitates it.
+Costs of falling policies say little about which policies do not fall. For the model linearised at an
+equilibrium, near zero or at a resting goal elsewhere, theory gives a regulator. It uses the whole state,
+including the model state of a delay or a lag. A policy with less information imitates it.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from simbias.simulation.linearization import STEP, advanced, derivatives, input_
 
 INPUT_WEIGHTS = (10.0, 100.0, 1000.0, 10000.0)  # R of inputs at their limits; Q of a state of one unit is 1
 MODEL_STATE_WEIGHT = 1e-9  # Q of the model state
-STEADY = 0.03  # share of the limits of steady inputs that disturb records of a regulator with an integral
-NEAR = 1e-3  # weight of being away from zero, that of accelerations being 1: the nearest rest is taken
-NEARER = 1e-6  # of being away from a goal, that of changes in a frame being 1: slow processes rest there, too
-RECORDS, SECONDS = 16, 1.0  # records of the regulated model that are imitated, and how long each takes,
+STEADY = 0.03  # share of the input limits: steady disturbance in records of a regulator with an integral
+NEAR = 1e-3  # weight of the distance from zero, relative to accelerations: selects the nearest equilibrium
+NEARER = 1e-6  # weight of the distance from a goal, relative to changes per frame: slow drifts count as rest
+RECORDS, SECONDS = 16, 1.0  # imitated records of the regulated model, and the duration of each,
 EXCITATION = 0.01  # with random inputs of this share of the limits
-SEED = 0  # of these records: the same model has the same policies
-CLOSE = 0.1  # share of the goal, by which a state is off it: so little that a constant counts
-ALIKE = 0.5  # of the squared inputs, by which those of a policy may differ there
-DIGITS = 9  # of states at rest, in their units: what is less is no motion
+SEED = 0  # of these records, so that the same model gives the same policies
+CLOSE = 0.1  # relative deviation from the goal: so small that a constant input matters
+ALIKE = 0.5  # of the squared inputs: allowed squared error of a policy there
+DIGITS = 9  # decimals of states at rest, in their units
 NO_ERRORS = (
     "{} cannot hold the goal as LQR does, so it regulates to zero: its outputs are not zero at the goal "
     "(position - 0.5 is), and it has no constant (dynamic_output_feedback, policy.constant)"
@@ -43,7 +43,7 @@ STEADY_INPUT = (
 
 
 class Linear(NamedTuple):
-    """A model around a rest: s' - s_0 = A (s - s_0) + B (u - u_0), s the states, then the model state."""
+    """A model linearised at rest: s' - s_0 = A (s - s_0) + B (u - u_0), with s states, then model state."""
 
     A: Array  # (l, l)
     B: Array  # (l, m)
@@ -57,8 +57,8 @@ class Linear(NamedTuple):
 def lqr_candidates(model: Model, count: int) -> Iterator[Array]:
     """LQR policies (p,) of `count` models to try first: the most probable one, and draws of its parameters.
 
-    They are designed as joints stick, as those of the published trials were. A search that is replayed asks
-    for none, and none is designed.
+    They are designed with sticking joints, as in the published trials. A replayed search requests none, so
+    none is designed.
     """
     rngs = np.random.default_rng(SEED).spawn(max(count - 1, 0))
     models = [model, *(replace(model, nominal=model.nominal.draw(rng)) for rng in rngs)][:count]
@@ -69,7 +69,7 @@ def lqr_candidates(model: Model, count: int) -> Iterator[Array]:
 
 
 def why_none(model: Model, regulator: str, integral: bool = False) -> str:
-    """Why there is no policy for a model that imitates a regulator, with an integral or without."""
+    """Why no policy imitates a model's regulator, with or without an integral."""
     if model.task.targets:
         return "targets ask for another regulator at each start"
     policy = type(model.policy).__name__
@@ -84,14 +84,14 @@ def lqr_policies(
     integral_weight: float = 0.0,
     sticking: bool = False,
 ) -> list[Array]:
-    """Policies (p,) that imitate the LQR of each weight; none where the model has no such.
+    """Policies (p,) that imitate the LQR of each weight, if the model has one.
 
-    With an integral's weight it is LQI: the integrals of what the policy integrates are states too. The model
-    is linearised as its joints slide: at rest, dry friction looks like damping that they do not have in
-    motion, and regulators that count on it fall. `sticking` linearises it at rest all the same, and lets
-    gains make up for a constant that a policy lacks, as published trials did.
+    With an integral weight it is LQI: the integrals of the policy's integrated quantities are states too. The
+    model is linearised with sliding joints: at rest, dry friction looks like damping, which is absent in
+    motion; regulators that rely on it fall. `sticking` linearises at rest nevertheless, and lets gains
+    compensate for a constant input that a policy lacks, as in the published trials.
     """
-    if model.task.targets:  # what it regulates to changes with each start
+    if model.task.targets:  # the setpoint changes with each start
         return []
     if not sticking:
         model = replace(model, nominal=model.nominal.without_dry_friction())
@@ -106,16 +106,16 @@ def lqr_policies(
 def _regulating(
     model: Model, goal: Array | None, input_weights: Sequence[float], integral_weight: float, sticking: bool
 ) -> list[Array] | None:
-    """Policies (p,) that imitate regulators to a goal (n,) or zero; None if the policy cannot at a goal.
+    """Policies (p,) that imitate regulators to a goal (n,) or zero; None if they cannot at a goal.
 
-    Where the rest takes a steady input that the policy cannot give, they imitate what is added to it: an
-    integral finds the input; without one, they rest elsewhere.
+    If the equilibrium needs a steady input that the policy cannot give, they imitate only the feedback. An
+    integral then finds the steady input; without one, they rest elsewhere.
     """
     try:
         linear = linearised(model, goal)
         if integral_weight:
             linear = _with_integrals(model, linear, integral_weight)
-    except (ValueError, np.linalg.LinAlgError):  # it is not finite even at rest, as a draw may be
+    except (ValueError, np.linalg.LinAlgError):  # a drawn model may not be finite even at rest
         return []
     limit = input_scale(model.task)
     each = [lqr_gains(linear, weight * np.diag(limit**-2.0)) for weight in input_weights]
@@ -135,7 +135,7 @@ def _regulating(
 
 
 def _needs_a_constant(model: Model, linear: Linear, goal: Array | None) -> bool:
-    """Whether the rest takes steady inputs that the policy cannot give at whatever states around it."""
+    """Whether the equilibrium needs steady inputs that the policy cannot give at the states around it."""
     u, x = linear.inputs, linear.rest[: linear.states] if goal is None else goal
     if (np.abs(u) <= NEAR * input_scale(model.task)).all():
         return False
@@ -144,14 +144,14 @@ def _needs_a_constant(model: Model, linear: Linear, goal: Array | None) -> bool:
 
 
 def _without_steady_input(linear: Linear, goal: Array | None) -> Linear:
-    """The model as if it rested at a goal (n,), or zero, without input."""
+    """The model as if it were at rest at a goal (n,), or zero, without input."""
     rest = linear.rest.copy()
     rest[: linear.states] = 0.0 if goal is None else goal
     return linear._replace(rest=rest, inputs=np.zeros_like(linear.inputs))
 
 
 def _is_imitated(model: Model, linear: Linear, gains: Array, goal: Array) -> bool:
-    """Whether the policy can do as a regulator K (m, l) does near a goal (n,) that is not zero."""
+    """Whether the policy can imitate a regulator K (m, l) near a nonzero goal (n,)."""
     n = linear.states
     off = CLOSE * np.random.default_rng(SEED).standard_normal((1, RECORDS, 1)) * goal
     states, inputs = linear.rest[:n].round(DIGITS) + off, linear.inputs - off @ gains[:, :n].T
@@ -159,7 +159,7 @@ def _is_imitated(model: Model, linear: Linear, gains: Array, goal: Array) -> boo
 
 
 def _acts(model: Model, states: Array, inputs: Array, added: Array) -> bool:
-    """Whether the policy can give inputs (1, k, m) at states (1, k, n), its error being less than `added`."""
+    """Whether the policy can give inputs (1, k, m) at states (1, k, n), with errors small against `added`."""
     theta = model.policy.imitating(states, inputs)
     if theta is None:
         return False
@@ -169,9 +169,9 @@ def _acts(model: Model, states: Array, inputs: Array, added: Array) -> bool:
 
 
 def rest(model: Model, near: Array | None = None, exactly: bool = False) -> tuple[Array, Array]:
-    """States (n,) and inputs (m,) that the model keeps, nearest to zero, or to states (n,) without input.
+    """The equilibrium states (n,) and inputs (m,) nearest to zero, or to states (n,) with zero input.
 
-    What is slow is kept only `exactly`.
+    Slow drifts are excluded only if `exactly`.
     """
     from scipy.optimize import least_squares  # lazily: few searches begin with LQR
 
@@ -185,7 +185,7 @@ def rest(model: Model, near: Array | None = None, exactly: bool = False) -> tupl
         moved = model.nominal.step(x, u) + model.bias.correction(x, u) - x
         return np.concatenate([scale * moved, weight * (both - begin)])
 
-    with np.errstate(all="ignore"):  # some of what it tries is absurd
+    with np.errstate(all="ignore"):  # the search tries extreme values
         found = least_squares(residuals, begin, xtol=1e-12, ftol=1e-12, args=(rates, NEAR)).x
         if exactly:
             found = least_squares(residuals, found, xtol=1e-12, ftol=1e-12, gtol=None, args=(1.0, NEARER)).x
@@ -193,7 +193,7 @@ def rest(model: Model, near: Array | None = None, exactly: bool = False) -> tupl
 
 
 def linearised(model: Model, goal: Array | None = None) -> Linear:
-    """The corrected model with its state, by central differences, at rest near zero or a goal (n,)."""
+    """The corrected model, linearised by central differences at rest near zero or a goal (n,)."""
     x, u = rest(model, goal, exactly=goal is not None)
     n, size, limit = len(x), model.nominal.state_size, input_scale(model.task)
     model_state = model.nominal.model_states(np.tile(x, (MEMORY, 1)), np.tile(u, (MEMORY, 1)))[-1]
@@ -205,7 +205,7 @@ def linearised(model: Model, goal: Array | None = None) -> Linear:
 
 
 def _with_integrals(model: Model, linear: Linear, weight: float) -> Linear:
-    """The model with the integrals over time of what the policy integrates, behind its own states."""
+    """The model with the time integrals of the policy's integrated quantities appended to its states."""
     x, steps = linear.rest[: linear.states], np.full(linear.states, STEP)
     if not model.policy.integrated(x).size:
         raise ValueError("the policy integrates nothing")
@@ -222,7 +222,7 @@ def _with_integrals(model: Model, linear: Linear, weight: float) -> Linear:
 
 
 def lqr_gains(linear: Linear, R: Array) -> Array | None:
-    """K (m, l) of u = u_0 - K (s - s_0), which minimises the sum of |x - x_0|^2 + u R u; None without one."""
+    """K (m, l) of u = u_0 - K (s - s_0), which minimises the sum of |x - x_0|^2 + u R u, or None."""
     try:
         return linear_regulator(linear.A, linear.B, linear.Q, R)[0]
     except (np.linalg.LinAlgError, ValueError):
@@ -232,7 +232,7 @@ def lqr_gains(linear: Linear, R: Array) -> Array | None:
 def _records(model: Model, linear: Linear, gains: Sequence[Array]) -> list[tuple[Array, Array]]:
     """Records of the linear model under each K (m, l): states (k, T, n) and inputs (k, T, m).
 
-    The model begins at the task's starts, and random inputs excite it.
+    The records begin at the task's starts, and random inputs excite the model.
     """
     task, limit, rng = model.task, input_scale(model.task), np.random.default_rng(SEED)
     n, m, frames, r = len(task.states), len(task.inputs), task.frames(SECONDS), len(gains)

@@ -1,4 +1,4 @@
-"""Predict a policy's cost as the paper does."""
+"""Predict a policy's cost as in the paper."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Predict a policy's cost from several rollouts that differ in all that is uncertain."""
+"""Predict a policy's cost from several rollouts with sampled uncertainties (domain randomization)."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ Aggregate = Literal["mean", "max", "cvar"]
 
 
 class Robust(Evaluation):
-    """An aggregate of the costs of `rollouts` rollouts: common random numbers in all of a search.
+    """An aggregate of the costs of `rollouts` rollouts, with common random numbers throughout a search.
 
-    Each has its own noise and, if it is sampled, its own start, nominal model and bias.
+    Each rollout has its own noise and, if sampled, its own start, nominal model and bias.
 
     Parameters
     ----------
@@ -30,14 +30,15 @@ class Robust(Evaluation):
     aggregate
         The mean, the max, or "cvar": the mean of the worst `tail` of the costs.
     screening
-        Rollouts after which a policy that failed in all of them is not simulated any further.
+        Number of rollouts; a policy that fails in all of them is not simulated further.
     fresh
-        CMA-ES ranks each generation in scenarios of its own, so that no search fits its policies to a few.
-        The generations' means are judged in those that are common, and the best of them is found.
+        Whether CMA-ES ranks each generation in newly drawn scenarios, to avoid overfitting to a few. The
+        generations' means are evaluated in the common scenarios, and the best mean is the result.
     from_nominal
-        A search begins at the optimum of one rollout on the model itself, from the mean start, without noise.
+        Whether a search begins at the optimum for one noise-free rollout on the model itself from the mean
+        start.
     seconds
-        That the rollouts take at most, so that policies are found that last; None is the task's horizon.
+        The duration of the rollouts; longer ones favour policies that last. None: the task's horizon.
     """
 
     def __init__(
@@ -70,7 +71,7 @@ class Robust(Evaluation):
         self._from_nominal = from_nominal
 
     def objective(self, model: Model, cost: Cost, rng: np.random.Generator) -> Objective:
-        """The aggregated cost in scenarios that are drawn here, once; fresh ones when they are met."""
+        """The aggregated cost in scenarios that are drawn here, once; fresh ones are drawn at each call."""
         if self.horizon is not None:
             model, cost = replace(model, task=self._task), cost.with_horizon(self.horizon)
 
@@ -82,7 +83,7 @@ class Robust(Evaluation):
         return CostOfScenarios(draw(), cost, self._worst, self._screening, fresh, easier)
 
     def _scenario(self, model: Model, rng: np.random.Generator) -> Scenario:
-        """Draw what is uncertain; what is not asked for changes nothing in the rest."""
+        """Draw the uncertain parts; switching one off does not change the draws of the others."""
         start_rng, noise_rng, nominal_rng, bias_rng = rng.spawn(4)
         task = self._task
         start = task.draw_start(start_rng) if self._sample_starts else task.start_mean

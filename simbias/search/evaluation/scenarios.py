@@ -1,4 +1,4 @@
-"""The cost of a policy in scenarios: models that might be right, each with its noise and start."""
+"""The cost of a policy in scenarios: drawn models, each with its noise and start."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from simbias.simulation.closed_loop import join
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """A model that might be right, its noise, and a start."""
+    """A drawn model, its noise, and a start."""
 
     simulator: Simulator
     start: Array  # (n,)
@@ -24,8 +24,8 @@ class Scenario:
 class CostOfScenarios(Objective):
     """An aggregate of a policy's costs Z (Eq. 8) in K scenarios, which are the same for every policy.
 
-    A policy that failed in each of the first `screening` scenarios is judged by these alone. If `draw` is
-    given, it ranks policies in scenarios that it draws for each call.
+    A policy that fails in each of the first `screening` scenarios is judged by these alone. If `draw` is
+    given, policies are ranked in scenarios drawn for each call.
     """
 
     def __init__(
@@ -41,18 +41,18 @@ class CostOfScenarios(Objective):
         self.first_stage = first_stage
         self._draw, self.fresh = draw, draw is not None
         self._cost = cost
-        self._worst = worst  # number of the worst costs, which are averaged
+        self._worst = worst  # number of worst costs to average
         self._screening = screening
-        self._share_promising = 0.0  # of the last policies: says how to simulate, and changes no cost
+        self._share_promising = 0.0  # of the last policies: it affects how they are simulated, but no cost
 
     def _meet(self, scenarios: Sequence[Scenario]) -> None:
-        """Let policies run in these scenarios."""
+        """Set the scenarios in which policies run."""
         self.scenarios = scenarios
         self._simulators = join([scenario.simulator for scenario in scenarios])
         self._starts = np.array([scenario.start for scenario in scenarios])  # (K, n)
 
     def rank(self, thetas: Array) -> Array:
-        """Costs (k,) of thetas (k, p): in the same scenarios or, if fresh, in those of this call alone."""
+        """Costs (k,) of thetas (k, p): in the common scenarios or, if fresh, in newly drawn ones."""
         if self._draw is None:
             return self.together(thetas)
         other = copy(self)
@@ -68,7 +68,7 @@ class CostOfScenarios(Objective):
             return self._aggregated(self._costs(thetas, every))
         costs = np.zeros((len(thetas), len(every)))
         first, others = every[: self._screening], every[self._screening :]
-        if self._share_promising > 0.5:  # enough in lockstep for it to pay to simulate some in vain
+        if self._share_promising > 0.5:  # simulating all in lockstep pays, even if some are wasted
             costs = self._costs(thetas, every)
             hopeless = costs[:, first].min(axis=1) > self._cost.max_cost
         else:
@@ -87,5 +87,5 @@ class CostOfScenarios(Objective):
         return costs.reshape(len(thetas), len(scenarios))
 
     def _aggregated(self, costs: Array) -> Array:
-        """The means (k,) of the worst of the costs (k, .)."""
+        """The means (k,) of the worst costs among (k, .)."""
         return np.mean(np.sort(costs)[:, -self._worst :], axis=1)

@@ -15,11 +15,11 @@ from simbias.core.evaluations import Evaluations
 from simbias.core.ranges import Deviation, Population
 from simbias.core.records import Array
 
-PATIENCE, PROGRESS = 30, 0.01  # generations within which the best of their means has to improve by this share
+PATIENCE, PROGRESS = 30, 0.01  # generations within which the best mean must improve by this share
 RESOLUTION = "the resolution"
 NO_PROGRESS = "a lack of progress"
 FLAT = "costs that no policy changes"
-UNUSED = ("matplotlib.pyplot", "scipy.stats")  # by the parts of pycma that are used here
+UNUSED = ("matplotlib.pyplot", "scipy.stats")  # modules not needed by the parts of pycma used here
 
 
 @dataclass(kw_only=True, eq=False)
@@ -31,7 +31,7 @@ class Cma(Optimizer):
     initial_deviation
         Standard deviation of the first generation, in units of the box's width.
     population
-        Points of a generation; None is pycma's default for the dimension.
+        Points per generation; None: pycma's default for the dimension.
     """
 
     initial_deviation: Deviation
@@ -52,12 +52,12 @@ def evolve(
 ) -> str:
     """One run of CMA-ES with the mean `start` (p,); why it ended, in words.
 
-    It searches in the unit box, in whose units deviation and resolution are; pycma's own boundary handling
-    keeps it inside. It gives up where no cost of a generation is below the target and all deviations are
-    below the resolution. Where generations meet scenarios of their own, their means are what is judged, and
-    it ends once the best of these, below the target, hardly improves, or where a whole generation costs the
-    same, as on a model in which nothing moves. Pycma's own tests on costs are off:
-    they are absolute, or relative to what the cost of a failure in Eq. 8 inflates.
+    It searches the unit box, in whose units deviation and resolution are given; pycma's own boundary handling
+    keeps it inside. It gives up if no cost of a generation is below the target and all deviations are below
+    the resolution. If generations have newly drawn scenarios, their means are evaluated. The run then ends
+    once the best mean is below the target and hardly improves, or if a whole generation costs the same, as on
+    a model in which nothing moves. Pycma's own cost criteria are off: they are absolute, or relative to costs
+    that failures (Eq. 8) inflate.
     """
     means: list[float] = []  # best costs of means so far
     width = evaluations.upper - evaluations.lower
@@ -73,7 +73,7 @@ def evolve(
             means.append(evaluations.best_cost)
             if len(means) > PATIENCE and evaluations.below_target:
                 before = means[-1 - PATIENCE]
-                if means[-1] > (1 - np.copysign(PROGRESS, before)) * before:  # it may be below zero
+                if means[-1] > (1 - np.copysign(PROGRESS, before)) * before:  # costs may be negative
                     return NO_PROGRESS
         if max(evolution.stds) < resolution and min(costs) >= evaluations.target_cost:
             return RESOLUTION
@@ -88,7 +88,7 @@ def strategy(
     deviation: float,
     population: int | None = None,
 ) -> Any:
-    """Pycma's strategy in the unit box, in whose units the deviation is; `ask` and `tell` drive it."""
+    """Pycma's strategy in the unit box, with the deviation in its units; `ask` and `tell` drive it."""
     width = upper - lower
     options = {
         "bounds": [0.0, 1.0],
@@ -99,10 +99,10 @@ def strategy(
         "tolfunhist": 0.0,
         "verbose": -9,
         "verb_log": 0,
-        "signals_filename": "",  # a file by which pycma would take commands from the working folder
+        "signals_filename": "",  # a file from which pycma would take commands in the working folder
     }
     if len(width) == 1:
-        options["maxstd"] = np.inf  # pycma's limit on it raises in one dimension (its issue 302)
+        options["maxstd"] = np.inf  # pycma's limit on the deviation raises in one dimension (its issue 302)
     if population is not None:
         options["popsize"] = population
     return _pycma().CMAEvolutionStrategy((start - lower) / width, deviation, options)
@@ -110,12 +110,12 @@ def strategy(
 
 @cache
 def _pycma() -> Any:
-    """Pycma without the libraries by which it draws and ranks: they take a second of a process's start."""
+    """Import pycma without libraries for plots and statistics, which slow a process's start by a second."""
     hidden = [name for name in UNUSED if name not in sys.modules]
-    sys.modules.update(dict.fromkeys(hidden))  # type: ignore[arg-type]  # None: as if it were not installed
+    sys.modules.update(dict.fromkeys(hidden))  # type: ignore[arg-type]  # None: as if not installed
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # that it cannot draw
+            warnings.simplefilter("ignore")  # its warning that it cannot plot
             import cma
     finally:
         for name in hidden:

@@ -1,6 +1,6 @@
-"""Plans of a model, and the policy that follows one: feedforward, and gains of deviations that vary in time.
+"""Plans on a model, and the policy that follows one: feedforward and time-varying feedback gains.
 
-Gains are of states alone: what the state does not show has none.
+Gains act on states alone, not on the model state.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from simbias.search.lqr import rest
 from simbias.search.optimizer.riccati import regulator, solved
 from simbias.simulation.linearization import advanced, derivatives, linear_regulator, linearization
 
-STEP = 1e-3  # of differences: of states, and of inputs over their limits
-STIFFER = 30.0  # times that gains at rest grow for the friction of joints without a motor
-ALONG = 0.1  # share of a joint's friction that is not along the inputs' effect, below which they overcome it
+STEP = 1e-3  # step of differences: of states, and of inputs relative to their limits
+STIFFER = 30.0  # factor by which gains at rest may grow for the friction of joints without a motor
+ALONG = 0.1  # share of a joint's friction not along the inputs' effect; below it, inputs overcome it
 BISECTIONS = 30
-STAYS = 0.25  # s, for which it has to be
-AT_REST = 0.5  # of each state, in its unit, within which a plan is as good as at rest
-SETTLED = 1000  # frames, after which the gains of a rest are those of an infinite horizon
+STAYS = 0.25  # s, minimum duration at rest
+AT_REST = 0.5  # of each state, in its unit: a plan within it counts as at rest
+SETTLED = 1000  # frames, after which gains at rest are those of an infinite horizon
 
 
 class Plan(NamedTuple):
@@ -35,14 +35,14 @@ class Plan(NamedTuple):
     states: Array  # (T+1, n)
     inputs: Array  # (T, m)
     cost: float
-    held: Array | float = 0.0  # weights (c,) of squared criteria of failure, 1/s, for its gains
+    held: Array | float = 0.0  # weights (c,) of squared failure criteria, 1/s, for its gains
 
 
 class Following:
-    """Policies that follow plans of a model, as it is or as its joints slide, and the model's slopes there.
+    """Policies that follow plans on a model, as it is or with sliding joints, and linearisations along them.
 
-    Deviations weigh what the cost says of the goal's errors or, if it is not quadratic, 1 in each state's
-    unit; along a plan that holds criteria of failure, also what these say.
+    Deviations are weighted as goal errors in the cost or, if it is not quadratic, by 1 in each state's unit;
+    along a plan that limits failure criteria, their weights are added.
     """
 
     def __init__(self, model: Model, weights: GoalWeights | None = None, sliding: bool = False) -> None:
@@ -55,11 +55,11 @@ class Following:
     def policies(self, plan: Plan, policy: Trajectory, input_weights: Sequence[float]) -> Iterator[Array]:
         """Parameters (p,) of the policy that follows a plan, for each weight of inputs at their limits.
 
-        A goal about all states, where it does not move, is a rest: the last knot is there, its gains those of
-        an infinite horizon.
+        If the goal covers all states and does not move, it is an equilibrium: the last knot lies there, with
+        the gains of an infinite horizon.
 
-        Of a plan as joints slide, inputs compensate for the friction along it, and there are gains for small
-        deviations from rest, which count on the friction of joints that no input moves.
+        For a plan with sliding joints, inputs compensate for the friction along it. Further gains act on
+        small deviations from rest; they rely on the friction of joints that no input moves.
         """
         ahead, task = policy.frames_ahead, self._task
         slopes = self._slopes_at_once if ahead else self.slopes
@@ -73,7 +73,7 @@ class Following:
             final = slopes(np.tile(x_rest, (2, 1)), u_rest[None])
             x, u = np.concatenate([x[:-1], [x_rest]]), np.concatenate([u[:-1], [u_rest]])
             settled = self._settled(x, x_rest)
-            if policy.sliding and settled < len(x):  # its last frames may leave again
+            if policy.sliding and settled < len(x):  # its last frames may leave rest again
                 stays = task.frames(STAYS)
                 x[-stays:], u[-stays:] = x_rest, u_rest
         if policy.sliding:
@@ -87,7 +87,7 @@ class Following:
             yield policy.following(linear(frames + ahead, whole, x), linear(frames, whole, u), K, K_0)
 
     def gains(self, states: Array, inputs: Array, weight: float, held: Array | float = 0.0) -> Array:
-        """K_t (T+1, m, n) along states (T+1, n) and inputs (T, m) that begin and end anywhere."""
+        """K_t (T+1, m, n) along states (T+1, n) and inputs (T, m) with any start and end."""
         return self._gains(self.slopes(states, inputs), self._state_weights(states, held), weight, None)
 
     def goal_slopes(self, states: Array) -> Array:
@@ -95,9 +95,9 @@ class Following:
         return derivatives(self._task.aim, states, np.full(self._n, STEP))
 
     def slopes(self, states: Array, inputs: Array) -> Array:
-        """M (T, l, l+m) of the model with its model state, along states (T+1, n) and inputs (T, m).
+        """M (T, l, l+m), the linearised model with its model state, along states (T+1, n) and inputs (T, m).
 
-        Its joints slide: dry friction is steep at rest.
+        The joints slide, because dry friction is steep at rest.
         """
         model_state = self._nominal.model_states(states[:-1], inputs)
         points = np.concatenate([states[:-1], model_state, inputs], axis=-1)
@@ -105,7 +105,7 @@ class Following:
         return derivatives(partial(advanced, self.sliding, self._bias, self._n), points, steps)
 
     def _slopes_at_once(self, states: Array, inputs: Array) -> Array:
-        """M (T, n, n+m), as `slopes`, as if inputs acted at once."""
+        """M (T, n, n+m), like `slopes`, as if inputs acted at once."""
         n, steps = self._n, STEP * np.concatenate([np.ones(self._n), self._task.input_limit])
 
         def after(points: Array) -> Array:
@@ -115,7 +115,7 @@ class Following:
         return derivatives(after, np.concatenate([states[:-1], inputs], axis=-1), steps)
 
     def _settled(self, x: Array, x_rest: Array) -> int:
-        """The first frame of `STAYS` in a row near rest, of states x (T+1, n); T+1 if there is none."""
+        """The first frame of a stay of `STAYS` near rest, in states x (T+1, n); T+1 if there is none."""
         near = np.abs(x - x_rest).max(axis=-1) <= AT_REST
         stays = self._task.frames(STAYS)
         whole = np.convolve(near, np.ones(stays), "valid") == stays
@@ -124,9 +124,9 @@ class Following:
     def _for_friction(self, x: Array, u: Array, weight: float) -> Array:
         """Further gains (m, n) at a rest x (n,) under u (m,), for the dry friction of some joints.
 
-        At small velocities it is damping, the more the smaller they are, until no input moves the joints
-        against it: gains grow without bound as it comes near to that. As much of it is counted on as lets
-        them grow `STIFFER` times; none along the inputs' own effect, as an input overcomes that at once.
+        At small velocities, dry friction acts as damping that increases as they decrease, until no input can
+        move the joints; gains grow without bound towards that point. The assumed friction lets them grow at
+        most `STIFFER` times. None is assumed along the inputs' own effect, as an input overcomes it at once.
         """
         n, limit = self._n, self._task.input_limit
         sliding, B = linearization(self.sliding, x, u, limit)
@@ -141,13 +141,13 @@ class Following:
         soft, share, above = regulated(0.0), 0.0, float(friction.any())
         for _ in range(BISECTIONS):
             middle = 0.5 * (share + above)
-            K = regulated(middle)  # beyond, gains have the other sign
+            K = regulated(middle)  # beyond, gains change their sign
             fits = np.linalg.norm(K) < STIFFER * np.linalg.norm(soft) and np.sum(K * soft) > 0.0
             share, above = (middle, above) if fits else (share, middle)
         return regulated(share) - soft
 
     def _state_weights(self, states: Array, held: Array | float) -> Array:
-        """Weights (T+1, n, n) of deviations from states (T+1, n), for gains; criteria as in a plan."""
+        """Weights (T+1, n, n) of deviations from states (T+1, n), for gains; `held` as in a plan."""
         if self._off_goal is None:
             return np.tile(np.eye(self._n), (len(states), 1, 1))
         G = self.goal_slopes(states)
@@ -158,7 +158,7 @@ class Following:
         return Q
 
     def _gains(self, M: Array, Q: Array, weight: float, final: Array | None) -> Array:
-        """K_t (T+1, m, n) of the time-varying regulator along M, which ends with that of the rest."""
+        """K_t (T+1, m, n) of the time-varying regulator along M, ending with the regulator at rest."""
         hidden = 0, M.shape[1] - self._n
         Q = np.pad(Q, ((0, 0), hidden, hidden))
         R, V = weight * np.diag(self._task.input_limit**-2.0), Q[-1]
@@ -169,7 +169,7 @@ class Following:
         return np.concatenate([K, settled[:1] if len(settled) else K[-1:]])[..., : self._n]
 
     def _compensation(self, states: Array, inputs: Array, ahead: int) -> Array:
-        """Further inputs (T+1, m) that overcome dry friction at states (T+1, n) some frames later."""
+        """Additional inputs (T+1, m) that overcome dry friction at states (T+1, n), `ahead` frames later."""
         x = states[np.minimum(np.arange(len(states)) + ahead, len(states) - 1)]
         lost = self.sliding.step(x, inputs) - self._nominal.step(x, inputs)
         _, B = linearization(self.sliding, x, inputs, self._task.input_limit)
@@ -177,5 +177,5 @@ class Following:
 
 
 def linear(frames: Array, given: Array, rows: Array) -> Array:
-    """Rows (K, c) at frames (K,), linear between those (k, c) at given frames (k,)."""
+    """Interpolate rows (k, c) at given frames (k,) linearly to rows (K, c) at frames (K,)."""
     return np.stack([np.interp(frames, given, column) for column in rows.T], axis=-1)

@@ -22,25 +22,25 @@ TOGETHER = 16  # points of a sequence evaluated at once: a power of two keeps it
 class Hybrid(Optimizer):
     """A global search until a cost is below the target, then CMA-ES from its best point.
 
-    Where not even CMA-ES gets below the target, both begin again, elsewhere if the exploration is random.
-    CMA-ES continues from the best candidate, without a first exploration, if this one is below the target or
-    a `candidate_deviation` is given.
+    If CMA-ES does not get below the target either, both start again, elsewhere if the exploration is random.
+    CMA-ES starts from the best candidate, without a first exploration, if that is below the target or a
+    `candidate_deviation` is given.
 
     Parameters
     ----------
     exploration
-        "sobol", or NLopt's name of a global algorithm, as in `Nlopt`.
+        "sobol", or NLopt's name for a global algorithm, as in `Nlopt`.
     explorations
-        Evaluations that it makes at most before CMA-ES takes over.
+        Maximum number of its evaluations before CMA-ES takes over.
     initial_deviation
         Standard deviation of CMA-ES's first generation, in units of the box's width.
     population
-        Points of a generation of CMA-ES; None is pycma's default for the dimension.
+        Points per generation of CMA-ES; None: pycma's default for the dimension.
     resolution
-        CMA-ES gives up when it fails and all its deviations are below it, in units of the box's width.
+        In units of the box's width: CMA-ES gives up if it fails and all its deviations are below this.
     candidate_deviation
         Standard deviation of CMA-ES's first generation around the best candidate, even above the target,
-        in units of the box's width; None is `initial_deviation`, around one below the target.
+        in units of the box's width; None: `initial_deviation`, and only around a candidate below the target.
     """
 
     exploration: Literal["sobol"] | Algorithm
@@ -51,7 +51,7 @@ class Hybrid(Optimizer):
     candidate_deviation: Deviation | None = None
 
     def search(self, evaluations: Evaluations, rng: np.random.Generator) -> str:
-        """Explore and refine, again and again as long as that fails."""
+        """Explore and refine, repeatedly until it succeeds."""
         explore = search_sobol if self.exploration == "sobol" else partial(search_nlopt, self.exploration)
         deviation = self.candidate_deviation if evaluations.count else None
         while True:
@@ -68,11 +68,12 @@ class Hybrid(Optimizer):
 
 
 def search_sobol(evaluations: Evaluations, rng: np.random.Generator) -> str:
-    """Evaluate a scrambled sequence, whose points never wait for each other, until the evaluations end.
+    """Evaluate a scrambled Sobol sequence in lockstep until the evaluations end.
 
-    A. B. Owen, "Scrambling Sobol' and Niederreiter-Xing points". ConfigError if none has so many dimensions.
+    A. B. Owen, "Scrambling Sobol' and Niederreiter-Xing points". ConfigError if there are too many dimensions
+    for it.
     """
-    from scipy.stats import qmc  # takes long to import
+    from scipy.stats import qmc  # slow to import
 
     p, most = len(evaluations.lower), qmc.Sobol.MAXDIM
     if p > most:

@@ -1,9 +1,9 @@
 """Trajectories of a model that reach the task's goal.
 
-A trajectory is found by iterative LQR (W. Li, E. Todorov, ICINCO 2004), with limited inputs: the model is
-linearised along the last one, which makes the weighted errors and inputs a linear-quadratic problem, and the
-step that solves it is shortened until the model's own rollout costs less. Rollouts are those of `Trajectory`
-with a knot in every frame, so that limits, delays and failures are the model's.
+A trajectory is found by iterative LQR (W. Li, E. Todorov, ICINCO 2004), with limited inputs. Linearising the
+model along the last trajectory makes the weighted errors and inputs a linear-quadratic problem. The step that
+solves it is shortened until the model's own rollout costs less. Rollouts use `Trajectory` with a knot in
+every frame, so limits, delays and failures are those of the model.
 """
 
 from __future__ import annotations
@@ -25,45 +25,45 @@ from simbias.search.optimizer.riccati import LinearQuadratic, beside, solved
 from simbias.simulation.closed_loop import simulator
 from simbias.simulation.linearization import derivatives
 
-ERROR_WEIGHT, RATE_WEIGHT = 1.0, 0.05  # of the goal's squared errors, 1/s; of those that are rates
-FINAL_WEIGHT = 10.0  # in s: what they weigh at the end
+ERROR_WEIGHT, RATE_WEIGHT = 1.0, 0.05  # of the goal's squared errors, 1/s; of rates
+FINAL_WEIGHT = 10.0  # in s: factor of these weights at the end
 INPUT_WEIGHT = 0.1  # of squared inputs at their limits, 1/s
-SHARE = 0.8  # of the limits, to which a step is held; feedback about the plan before it may take the rest
+SHARE = 0.8  # of the input limits for a step; feedback around the previous plan may use the rest
 GAIN_WEIGHTS = (1.0, 10.0, 100.0)  # R of inputs at their limits; Q of a state of one unit is 1
-SHORTER = 0.5 ** np.arange(12)  # shares of a step that are tried, all at once
+SHORTER = 0.5 ** np.arange(12)  # fractions of a step, tried in lockstep
 ITERATIONS = 200
-PATIENCE, PROGRESS = 10, 0.01  # it ends where that many iterations save less than this share
-LEAST, MOST = 1e-6, 1e8  # damping: where not even the most lets a step cost less, none does
-FROM_REST, FROM_REST_PATIENCE = 1e6, 3  # damping and patience of what begins at rest
-MARGINS = 0.5, 0.2, 0.05  # of what the start has left of a criterion: nearer to its limit, a plan costs more
-SAVED = 0.9  # times the cost, below which a plan may come that near
-KEEPING = 10.0 ** np.arange(2, 6)  # times the mean cost of resting: that of using up all of it and more
-PIECE, AMPLITUDE = 0.3, 0.6  # s, and share of the limits, of the random inputs that it begins with
+PATIENCE, PROGRESS = 10, 0.01  # it ends when this many iterations save less than this share
+LEAST, MOST = 1e-6, 1e8  # damping: if no step costs less even at the most, the search ends
+FROM_REST, FROM_REST_PATIENCE = 1e6, 3  # damping and patience for trajectories that begin at rest
+MARGINS = 0.5, 0.2, 0.05  # of the start's margin to a criterion's limit: nearer to it, a plan costs more
+SAVED = 0.9  # a smaller margin is accepted if the cost falls below this share
+KEEPING = 10.0 ** np.arange(2, 6)  # times the mean cost of resting: the cost of using up the margin
+PIECE, AMPLITUDE = 0.3, 0.6  # s, and share of the limits, of the initial random inputs
 
 
 def default_weights(task: Task) -> GoalWeights:
-    """Weights of errors, of rates and of inputs at their limits, for costs that are not quadratic."""
+    """Default weights of errors, rates and inputs, for costs that are not quadratic."""
     weights = np.where([goal.is_rate for goal in task.goals], RATE_WEIGHT, ERROR_WEIGHT)
     return GoalWeights(weights, INPUT_WEIGHT * task.input_limit**-2.0, FINAL_WEIGHT * weights)
 
 
 def _unfailing(task: Task) -> Task:
-    """The task without limits of its failure criteria."""
+    """The task without failure criteria."""
     other = copy(task)
     other.criteria = tuple(each._replace(limit=np.inf) for each in task.criteria)
     return other
 
 
 class Keeping(NamedTuple):
-    """The cost of a plan that comes near to limits of failure."""
+    """The cost of a plan that comes close to failure limits."""
 
     measure: Callable[[Array], Array]  # of states: measures (..., c) of the criteria
     weight: float  # of squared excesses
-    inside: Array  # (c,) measures that are near to the limits
-    spare: Array  # (c,) units of what exceeds them
+    inside: Array  # (c,) measures from which on the limits count as close
+    spare: Array  # (c,) units of the excess
 
     def excess(self, states: Array) -> Array:
-        """How far (..., c) states (..., n) are beyond what is near to limits."""
+        """The excess (..., c) of states (..., n) over these measures, in their units."""
         return np.maximum(self.measure(states) - self.inside, 0.0) / self.spare
 
 
@@ -73,13 +73,13 @@ def _lasts(plan: Plan, task: Task) -> bool:
 
 
 class Shooting:
-    """Plans of a model, as it is or as its joints slide, from the task's mean start to its goal."""
+    """Plans on a model, as it is or with sliding joints, from the task's mean start to its goal."""
 
     def __init__(self, model: Model, weights: GoalWeights | None = None, sliding: bool = False) -> None:
         task = model.task
         self.following = Following(model, weights, sliding)
         self._task, self._model, self._goal_weights, self._sliding = task, model, weights, sliding
-        self._failed = False  # whether a rollout has
+        self._failed = False  # whether a rollout has failed
         self._keeping: Keeping | None = None
         self._frictionless = replace(model, nominal=self.following.sliding)
         self._n, self._m, self._T = len(task.states), len(task.inputs), task.horizon
@@ -93,11 +93,12 @@ class Shooting:
         self._damping = np.diag(task.time_step * INPUT_WEIGHT * task.input_limit**-2.0)  # (m, m)
 
     def plan(self, rng: np.random.Generator | None) -> Plan | None:
-        """A trajectory that begins with random inputs, or at rest without any; None where all fail.
+        """A trajectory that begins with random inputs, or at rest without them; None if all fail.
 
-        Where rollouts of trajectories that begin at rest fail, the way to one that succeeds may lead over
-        such that do: if none was found, it is searched as if nothing failed, too. If that one fails, what
-        comes near to limits of failure costs more and more, until it lasts.
+        If trajectories that begin at rest fail, the path to a successful one may lead through failing ones.
+        If no successful one was found, the search is therefore repeated without failure criteria. If its
+        result violates them, coming close to the limits is made ever more expensive until the trajectory
+        lasts.
         """
         if rng is not None:
             first = self._first(rng)
@@ -114,7 +115,7 @@ class Shooting:
         return min(plan, other, key=lambda each: each.cost)
 
     def along_knots(self, plan: Plan, times: Array) -> Plan | None:
-        """The best rollout that follows a plan by its values at times (K,) alone; None if all fail."""
+        """The best rollout that follows a plan by its values at knot times (K,) alone; None if all fail."""
         knots, frames = times / self._task.time_step, np.arange(self._T + 1.0)
         found = list[Plan]()
         for weight in GAIN_WEIGHTS:
@@ -127,21 +128,21 @@ class Shooting:
         return min(found, key=lambda each: each.cost, default=None)
 
     def _from_rest(self) -> Plan | None:
-        """The trajectory at the end of steps from rest."""
+        """The trajectory found by descent from rest."""
         first = self._rest()
         return first and self._descended(first, FROM_REST, FROM_REST_PATIENCE)
 
     def _kept_within(self, task: Task) -> Plan | None:
-        """A trajectory from rest that keeps away from the limits of a task's criteria, if it can.
+        """A trajectory from rest that keeps away from the limits of a task's failure criteria, if possible.
 
-        It comes nearer to them only where that saves much.
+        It comes closer to them only if that saves much.
         """
         first = self._rest()
         if first is None:
             return None
         limits = np.array([criterion.limit for criterion in task.criteria])
         left = limits - task.measure(task.start_mean)
-        spare = np.where(np.isfinite(left) & (left > 0), left, 1.0)  # where it has none, a unit
+        spare = np.where(np.isfinite(left) & (left > 0), left, 1.0)  # without a margin, one unit
         weights, per_second = KEEPING * first.cost / task.horizon, spare**-2.0 / task.time_step
         if not _lasts(first, task):
             first = self._rest(weights[0] * per_second) or first
@@ -162,7 +163,7 @@ class Shooting:
         return best
 
     def _descended(self, best: Plan, damping: float, patience: int) -> Plan:
-        """The trajectory at the end of steps that each cost less, the first of which has this damping."""
+        """The trajectory found by steps of decreasing cost; the first step has this damping."""
         costs = list[float]()
         while damping < MOST and len(costs) < ITERATIONS:
             better = self._improved(best, damping)
@@ -175,7 +176,7 @@ class Shooting:
         return best
 
     def _first(self, rng: np.random.Generator) -> Plan | None:
-        """The best trajectory of random inputs and of smaller ones, as large ones may fail."""
+        """The best trajectory among random inputs and scaled-down copies, as large inputs may fail."""
         pieces = np.arange(0, self._T + 1, self._task.frames(PIECE))
         values = AMPLITUDE * rng.standard_normal((len(pieces), self._m)) * self._task.input_limit
         inputs = np.stack([np.interp(np.arange(self._T), pieces, each) for each in values.T], axis=-1)
@@ -183,7 +184,7 @@ class Shooting:
         return self._best(states, SHORTER[:, None, None] * inputs, np.zeros((self._T, self._m, self._n)))
 
     def _rest(self, held: Array | float = 0.0) -> Plan | None:
-        """The start, or the rest that is nearest to it, held by a soft regulator; criteria as in a plan."""
+        """The start, or the equilibrium nearest to it, held by a soft regulator; `held` as in a plan."""
         x, u = rest(self._frictionless, self._task.start_mean)
         states, inputs = np.tile(x, (self._T + 1, 1)), np.tile(u, (self._T, 1))
         K = self.following.gains(states, inputs, GAIN_WEIGHTS[-1], held)
@@ -208,14 +209,14 @@ class Shooting:
         problem = LinearQuadratic(M, W, w, curvature[-1], slope[-1])
         try:
             k, K, _ = solved(problem, self._n, room, damping * self._damping)
-        except np.linalg.LinAlgError:  # singular: it needs more damping
+        except np.linalg.LinAlgError:  # singular: needs more damping
             return None
         inputs = plan.inputs + SHORTER[:, None, None] * k
         better = self._best(plan.states, inputs, K[..., : self._n])
         return better if better is not None and better.cost < plan.cost else None
 
     def _best(self, states: Array, inputs: Array, gains: Array) -> Plan | None:
-        """The rollout that costs least of those with inputs (k, T, m) and gains (T, m, n) about states."""
+        """The cheapest rollout among inputs (k, T, m), with gains (T, m, n) around states."""
         x, u, K = states[:-1], inputs, gains
         thetas = np.array(
             [self._every_frame.following(*(np.concatenate([a, a[-1:]]) for a in (x, each, K))) for each in u]
@@ -229,7 +230,7 @@ class Shooting:
         return min(plans, key=lambda plan: plan.cost, default=None)
 
     def _judged(self, states: Array, inputs: Array) -> Plan:
-        """A plan, with half the weighted squares of errors, of inputs, and of what is near to limits."""
+        """A plan with its cost: half the weighted squares of errors, inputs, and excesses near limits."""
         e = self._task.aim(states) - self._goal
         cost = np.sum(self._weights * e**2) + np.sum(self._input_weights * inputs**2)
         if keeping := self._keeping:

@@ -1,9 +1,9 @@
-"""Evaluating a sequential search's points together.
+"""Evaluate a sequential search's points in lockstep.
 
-The points that DIRECT asks for next rarely depend on the last few costs. So a search is run on with guessed
-costs until it has asked for some points; they are evaluated together, and the search is run again from its
-start on what is known. Costs before the first guess are true, and judged as they come: so
-the last run, which guesses none, is the sequential search, point by point.
+The points that DIRECT requests next rarely depend on the last few costs. A search therefore continues on
+guessed costs until it has requested several points. These are evaluated together, and the search is rerun
+from its start on the known costs. Costs before the first guess are true, and judged in order. The last run,
+which guesses none, is thus the sequential search, point by point.
 """
 
 from __future__ import annotations
@@ -18,25 +18,25 @@ from simbias.core.evaluations import Evaluations, SearchEnded
 from simbias.core.records import Array
 
 FIRST_GUESS = 1e6
-MOST = 32  # points asked for together; of more, too many guesses are wrong
+MOST = 32  # points requested together; with more, too many guesses are wrong
 CAPRICIOUS = "the search asks for other points when it is given the same costs"
 
 
 class AskedEnough(Exception):  # noqa: N818 (no error, as StopIteration is none)
-    """Raised to end a run on guesses once it has asked for enough points."""
+    """Ends a run on guesses once it has requested enough points."""
 
 
 def look_ahead(search: Callable[[Callable[[Array], float]], str], evaluations: Evaluations) -> str:
     """Run a search, which gets a function that evaluates a point (p,); why it ended, in words.
 
-    It has to ask for the same points when it is given the same costs. An objective that offers `together` is
-    asked for several at once; one that does not, in turn.
+    The search has to request the same points when given the same costs. An objective that supports `together`
+    evaluates several points at once; otherwise they are evaluated one by one.
     """
     together = evaluations.together
     if together is None:
         return search(evaluations.evaluate)
     past = Past()
-    guessed: dict[bytes, Array] = {}  # points that the last run guessed, known since
+    guessed: dict[bytes, Array] = {}  # points guessed in the last run, whose costs are known since
     size = MOST
     while True:
         run = Run(evaluations, past, size)
@@ -49,7 +49,7 @@ def look_ahead(search: Callable[[Callable[[Array], float]], str], evaluations: E
             return stopped_by
         if guessed:
             used = sum(point in run.asked for point in guessed)
-            size = min(max(2 * used * size // len(guessed), 1), MOST)  # where most were wrong, fewer are made
+            size = min(max(2 * used * size // len(guessed), 1), MOST)  # fewer guesses if most were wrong
         guessed = run.unknown
         costs = together(np.array(list(guessed.values())))
         past.known.update(zip(guessed, costs.tolist(), strict=True))
@@ -57,15 +57,15 @@ def look_ahead(search: Callable[[Callable[[Array], float]], str], evaluations: E
 
 @dataclass
 class Past:
-    """Costs and points that earlier runs of a search have found out."""
+    """Costs and points known from earlier runs of a search."""
 
-    judged: list[float] = field(default_factory=list)  # costs of the first points that the search asks for
-    next: bytes | None = None  # the point after these
+    judged: list[float] = field(default_factory=list)  # costs of the first points that the search requests
+    next: bytes | None = None  # the next point
     known: dict[bytes, float] = field(default_factory=dict)  # costs by point
 
 
 class Run:
-    """A run of a search on known costs, with guesses in place of others, up to `size` of them."""
+    """A run of a search on known costs, with up to `size` guesses for unknown ones."""
 
     def __init__(self, evaluations: Evaluations, past: Past, size: int) -> None:
         self._evaluations = evaluations
@@ -73,7 +73,7 @@ class Run:
         self._replayed = iter(past.judged[:])
         self._guess = max(past.known.values(), default=FIRST_GUESS)
         self._size = size
-        self.asked: set[bytes] = set()  # after those that are replayed
+        self.asked: set[bytes] = set()  # points requested after the replayed ones
         self.unknown: dict[bytes, Array] = {}
 
     def evaluate(self, point: Array) -> float:
@@ -82,7 +82,7 @@ class Run:
         Raises
         ------
         SearchEnded
-            As of `Evaluations.evaluate`; if some costs are unknown, it would if the guesses were right.
+            As for `Evaluations.evaluate`; if some costs are unknown, assuming correct guesses.
         AskedEnough
             If `size` costs are unknown.
         """
@@ -106,7 +106,7 @@ class Run:
         """A cost in place of an unknown one."""
         self._evaluations.check_budget()
         if not self.unknown:
-            self._evaluations = copy(self._evaluations)  # guesses, and what follows them, are judged apart
+            self._evaluations = copy(self._evaluations)  # guesses, and later points, are judged separately
         self.unknown[key] = inside
         if len(self.unknown) == self._size:
             raise AskedEnough

@@ -29,20 +29,20 @@ class Nlopt(Optimizer):
     Parameters
     ----------
     algorithm
-        NLopt's name of it (https://nlopt.readthedocs.io/en/latest/NLopt_Algorithms).
+        NLopt's name for the algorithm (https://nlopt.readthedocs.io/en/latest/NLopt_Algorithms).
     """
 
     algorithm: Algorithm
 
     def search(self, evaluations: Evaluations, rng: np.random.Generator) -> str:
-        """Search by NLopt's algorithm; why it ended, in words."""
+        """Search by NLopt's algorithm; return why it ended, in words."""
         return search_nlopt(self.algorithm, evaluations, rng)
 
 
 def search_nlopt(algorithm: Algorithm, evaluations: Evaluations, rng: np.random.Generator) -> str:
-    """Search by one of NLopt's algorithms, looking ahead; why it ended, in words.
+    """Search by one of NLopt's algorithms, looking ahead; return why it ended, in words.
 
-    ConfigError if the algorithm cannot search among so many parameters.
+    ConfigError if the algorithm cannot handle this many parameters.
     """
     seed, start, most = int(rng.integers(1, 2**31)), evaluations.start, evaluations.remaining
 
@@ -61,9 +61,9 @@ def search_nlopt(algorithm: Algorithm, evaluations: Evaluations, rng: np.random.
 
 
 def _minimized(strategy: nlopt.opt, evaluate: Callable[[Array], float], start: Array) -> str:
-    """Run NLopt from a point (p,); why it ended, in words. What `evaluate` raises passes through."""
+    """Run NLopt from a point (p,); return why it ended, in words. Exceptions of `evaluate` propagate."""
     raised: list[BaseException] = []
-    stoppable = weakref.proxy(strategy)  # it keeps what it calls, unseen by Python's garbage collector
+    stoppable = weakref.proxy(strategy)  # NLopt holds references that Python's garbage collector cannot see
 
     # NLopt loses some exceptions, so none may reach it. It is stopped in the call after the error:
     # stopped in its first evaluation, GN_ORIG_DIRECT crashes. Some algorithms keep calling for a while.
@@ -88,5 +88,5 @@ def _minimized(strategy: nlopt.opt, evaluate: Callable[[Array], float], start: A
     except nlopt.RoundoffLimited:
         stopped_by = "round-off errors"
     if raised:
-        raise raised.pop()  # with it, what NLopt keeps would keep all that the traceback knows
+        raise raised.pop()  # otherwise, NLopt's references would keep the whole traceback alive
     return stopped_by

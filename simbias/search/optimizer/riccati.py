@@ -1,4 +1,4 @@
-"""Linear-quadratic problems that vary in time, solved backwards (Riccati), where inputs are limited too."""
+"""Time-varying linear-quadratic problems, solved backwards (Riccati), optionally with limited inputs."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ class LinearQuadratic(NamedTuple):
 
     M: Array  # (T, l, l+m) s_next = M z
     W: Array  # (T, l+m, l+m) curvature of the costs
-    w: Array  # (T, l+m) slope
-    V: Array  # (l, l) of those at the end
-    v: Array  # (l,)
+    w: Array  # (T, l+m) slope of the costs
+    V: Array  # (l, l) curvature of the final cost
+    v: Array  # (l,) its slope
 
 
 def regulator(M: Array, Q: Array, R: Array, V: Array) -> LinearQuadratic:
-    """The problem to stay on a trajectory along M by Q (l, l) or (T, l, l); V (l, l) weighs where it ends."""
+    """The problem of staying on a trajectory along M: Q (l, l) or (T, l, l), and V (l, l) at its end."""
     W = beside(np.broadcast_to(Q, (len(M), *V.shape)), R)
     return LinearQuadratic(M, W, np.zeros(W.shape[:2]), V, np.zeros(len(V)))
 
 
 def beside(Q: Array, R: Array) -> Array:
-    """Weights (T, l+m, l+m) of states, (T, l, l), and of inputs, (m, m)."""
+    """Block-diagonal weights (T, l+m, l+m) from those of states, (T, l, l), and inputs, (m, m)."""
     l, m = len(Q[0]), len(R)  # noqa: E741
     W = np.zeros((len(Q), l + m, l + m))
     W[:, :l, :l], W[:, l:, l:] = Q, R
@@ -38,8 +38,8 @@ def solved(
 ) -> tuple[Array, Array, Array]:
     """Steps k (T, m) and gains K (T, m, l) of u = k - K s, backwards in time, and the value V (l, l).
 
-    Gains are of the first `seen` states, and none where a step ends at a limit: `room`, (T, m) each. Damping
-    (m, m) makes steps smaller.
+    Gains act on the first `seen` states, and are zero where a step ends at a limit; `room` holds the limits,
+    (T, m) each. Damping (m, m) makes steps smaller.
     """
     M, W, w, V, v = problem
     T, l, both = M.shape  # noqa: E741

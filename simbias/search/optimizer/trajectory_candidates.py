@@ -1,4 +1,4 @@
-"""Policies that follow trajectories of a model: with them, a search begins."""
+"""Policies that follow trajectories planned on a model, as candidates for a search."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from simbias.search.goal import goal_along, moves
 from simbias.search.optimizer.following import Plan
 from simbias.search.optimizer.ilqr import GAIN_WEIGHTS, Shooting
 
-DEARER = 1.5  # times a plan's cost: that of following it by its knots is told
-SEED = 0  # of the random inputs that plans begin with: the same model has the same trajectories
+DEARER = 1.5  # times a plan's cost: if following its knots costs more, a warning says so
+SEED = 0  # of the plans' initial random inputs, so that the same model gives the same trajectories
 
 
 def trajectory_candidates(
@@ -26,27 +26,26 @@ def trajectory_candidates(
 ) -> Iterator[Array]:
     """Policies (p,) that follow the best of `count` trajectories, one for each weight of the inputs.
 
-    Trajectories to a goal that rests begin with different random inputs, the one to a goal that moves at
-    rest; to one that leaves some states free, one begins at rest, too. They are of the first of the models
-    that has any: a correction learned from few experiments may make a model fail whatever its inputs. Where
-    random inputs fail on all models, a trajectory begins at rest; it is not tried before on the first model.
-    A trajectory costs what the weights say, those of a cost that is quadratic about the goal; else there are
-    weights of its own. They are planned once the first policy is asked for, which a search that is replayed
-    does not do.
+    Trajectories to a resting goal begin with different random inputs; the one to a moving goal begins at
+    rest. If a resting goal leaves some states free, one more begins at rest. They are planned on the first of
+    the models that allows any: a correction learned from few experiments may make a model fail whatever its
+    inputs. If random inputs fail on all models, a trajectory that begins at rest is tried. Trajectories are
+    weighted as in a cost that is quadratic about the goal; otherwise there are default weights. Planning
+    starts when the first policy is requested, which a replayed search does not do.
 
     Raises
     ------
     ConfigError
-        If the policy follows no trajectory, all models fail with any of the inputs, or the plan is to rest
-        at a goal that moves.
+        If the policy follows no trajectory, all models fail with all inputs, or the plan would have to rest
+        at a moving goal.
     """
     if not count:
         return
     task, policy = models[0].task, follower(models[0].task, models[0].policy)
-    if policy.resting:  # the plan ends before, and rests
+    if policy.resting:  # the plan ends earlier, and then rests
         task = task.with_horizon(task.horizon - task.frames(policy.resting))
     if moves(goal_along(task)):
-        begun = [(0, 1)]  # with so many random inputs, and so often at rest
+        begun = [(0, 1)]  # counts: with random inputs, and at rest
     else:
         begun = [(count, 0), (0, 1)] if task.goals == task.states else [(count, 1)]
     for (random, at_rest), model in product(begun, models):
@@ -68,7 +67,7 @@ def trajectory_candidates(
 
 
 def follower(task: Task, policy: Policy) -> Trajectory:
-    """The policy; ConfigError if it follows no trajectory, or its plan is to rest at a goal that moves."""
+    """The policy; ConfigError if it follows no trajectory, or would have to rest at a moving goal."""
     if not isinstance(policy, Trajectory):
         problem = f"{type(policy).__name__} follows no trajectory; policy=trajectory does"
         raise ConfigError("method.trajectories", problem)
@@ -78,7 +77,7 @@ def follower(task: Task, policy: Policy) -> Trajectory:
 
 
 def _warn_of_few_knots(plan: Plan, followed: Plan | None, knots: int, frames: int) -> None:
-    """Warn of a plan that knots, between which its policy is linear, do not represent."""
+    """Warn if the knots, between which the policy is linear, do not represent a plan well."""
     if followed is None or followed.cost > DEARER * plan.cost:
         then = "fails" if followed is None else f"costs {followed.cost:.3g}"
         message = (
