@@ -11,21 +11,21 @@ from scipy.linalg import LinAlgError, cholesky
 from simbias.core import Task
 from simbias.core.records import Array
 
-FINEST = 1e-6  # of the signal's variance, the least noise; with less, single precision errs by more than it
-FAR = 100.0  # length scales from zero, beyond which coordinates in single precision get coarse
+FINEST = 1e-6  # of the signal's variance: the least noise; single precision resolves no less
+FAR = 100.0  # length scales from zero; farther away, single-precision coordinates are too coarse
 
 
 @dataclass(frozen=True)
 class Hyperparameters:
-    """theta of Section IV-B, and d of Eq. 7; variances are of residuals over their root mean square."""
+    """theta of Section IV-B, and d of Eq. 7; variances of residuals relative to their mean square."""
 
     input_scale: Array  # (r,) in the task's units
     length_scale: Array  # (r,) of the scaled inputs; the diagonal of Lambda is its square
     signal_variance: float  # alpha^2
     noise_variance: float  # sigma^2
     d: float
-    angles: tuple[int, ...] = ()  # columns of raw inputs that enter as sine and cosine, so that r > n + m
-    linear: float = 0.0  # prior deviation of the coefficients of a linear function that is added; 0: none
+    angles: tuple[int, ...] = ()  # columns of raw inputs that enter as sine and cosine; then r > n + m
+    linear: float = 0.0  # prior deviation of the coefficients of an added linear function; 0: none
     centre: Array | float = 0.0  # (r,) of scaled coordinates
 
     @property
@@ -34,7 +34,7 @@ class Hyperparameters:
         return self.signal_variance + self.noise_variance
 
     def coordinates(self, inputs: Array) -> Array:
-        """Raw inputs (k, n+m) as (k, r): sines in the place of angles, their cosines behind all others."""
+        """Raw inputs (k, n+m) as (k, r): sines replace angles, and their cosines are appended."""
         if not self.angles:
             return inputs
         angles = list(self.angles)
@@ -43,17 +43,17 @@ class Hyperparameters:
         return np.concatenate([sines, np.cos(inputs[:, angles])], axis=1)
 
     def scale(self, inputs: Array) -> Array:
-        """Raw inputs (k, n+m) as coordinates (k, r) in units of the length scales, from the centre."""
+        """Raw inputs (k, n+m) as coordinates (k, r) relative to the centre, in units of the length scales."""
         return self.coordinates(inputs) / (self.input_scale * self.length_scale) - self.centre
 
     def centred(self, inputs: Array) -> Hyperparameters:
-        """With raw inputs (k, n+m) around the centre, if they are far from it or a function is linear."""
+        """A copy centred on raw inputs (k, n+m), if they are far from the centre or a function is linear."""
         mean = np.mean(self.scale(inputs), axis=0) if len(inputs) else np.zeros(len(self.length_scale))
         moved = (np.abs(mean) > FAR) | (self.linear > 0)
         return replace(self, centre=self.centre + np.where(moved, mean, 0.0))
 
     def basis(self, scaled: Array) -> Array:
-        """Basis (k, p) of linear functions at scaled inputs (k, r): inputs over `input_scale`, and 1.
+        """Basis (k, p) of linear functions at scaled inputs (k, r): inputs divided by `input_scale`, and 1.
 
         p is r + 1, or 0 without a linear function.
         """
@@ -67,8 +67,8 @@ class Hyperparameters:
 
 
 def correlation(a: Array, b: Array) -> Array:
-    """exp(-|a - b|^2 / 2) (k, l) of the rows of a (k, r) and b (l, r)."""
-    with np.errstate(over="ignore", invalid="ignore"):  # a simulated state may grow beyond all numbers
+    """exp(-|a - b|^2 / 2) (k, l) for the rows of a (k, r) and b (l, r)."""
+    with np.errstate(over="ignore", invalid="ignore"):  # a simulated state may overflow
         squared = np.sum(a**2, axis=1)[:, None] + np.sum(b**2, axis=1) - 2 * a @ b.T
         return np.exp(-0.5 * np.maximum(squared, 0.0))
 
@@ -85,13 +85,13 @@ def hyperparameters(
 ) -> Hyperparameters:
     """Hyper-parameters for a task; by default inputs are scaled by their limits, states by 1.
 
-    If it is periodic, states that wrap enter as sine and cosine, both with the state's scales.
+    If `periodic`, states that wrap enter as sine and cosine, both with the state's scales.
 
     Raises
     ------
     ValueError
         If a list does not have one value for each state and input, an input has neither scale nor limit, or
-        there is less noise than single precision resolves.
+        the noise is less than single precision resolves.
     """
     r = len(task.states) + len(task.inputs)
     if noise_variance < FINEST * signal_variance:

@@ -11,28 +11,28 @@ from simbias.core.ranges import Count, Spread
 from simbias.core.records import Array, Transitions
 from simbias.learning.covariance import Hyperparameters, correlation, output_scale
 
-LEAST_NOISE = 1e-4  # of the signal's variance: what the compiled kernel's single precision can resolve
-ROUNDING = 2.0**-22  # of a state's deviation: smaller residuals are single precision's rounding
-LEAST_SCALE = 1e-12  # of residuals, in their units, of a state that does not move
-REACH = 10.0  # deviations of the priors; beyond, where a line search may try, distances may be all rounding
+LEAST_NOISE = 1e-4  # of the signal's variance: resolution of the compiled kernel's single precision
+ROUNDING = 2.0**-22  # of a state's deviation: smaller residuals are rounding in single precision
+LEAST_SCALE = 1e-12  # least scale of residuals, in their units, for a state that does not move
+REACH = 10.0  # prior deviations that bound the search; beyond, distances may be mere rounding
 
 
 @dataclass(frozen=True)
 class HyperPriors:
     """Standard deviations of the priors of the hyper-parameters' logarithms; 0 keeps the median."""
 
-    length_scale: Spread = 1.0  # 1 takes a factor e for one standard deviation
+    length_scale: Spread = 1.0  # 1: one standard deviation is a factor e
     signal_variance: Spread = 1.0
     noise_ratio: Spread = 1.0  # of noise to signal variance
-    points: Count = 200  # at most, evenly spaced in the data
+    points: Count = 200  # maximum number, evenly spaced in the data
 
 
 def learn(medians: Hyperparameters, transitions: Transitions, learning: HyperPriors) -> Hyperparameters:
     """The most probable length scales, signal variance and ratio of noise to signal, given the data.
 
-    All outputs share them, each over its root mean square; those that are rounding have no say. It is the
-    mode that is found from the medians; data that are rough may have another, more probable one.
-    Deterministic; without data, the medians.
+    All outputs share them, each divided by its root mean square; outputs that are mere rounding are ignored.
+    The search starts from the medians; rough data may have another, more probable mode. Deterministic;
+    without data, the medians.
     """
     return mode(medians, transitions, learning)[0]
 
@@ -40,10 +40,10 @@ def learn(medians: Hyperparameters, transitions: Transitions, learning: HyperPri
 def mode(
     medians: Hyperparameters, transitions: Transitions, learning: HyperPriors
 ) -> tuple[Hyperparameters, float]:
-    """Hyper-parameters as `learn` finds them, and the log of the marginal likelihood times the priors there.
+    """Hyper-parameters as in `learn`, and the log of marginal likelihood times priors at them.
 
-    It is in nats, of the residuals in their units, up to a constant: models may be compared whose residuals
-    differ. Those that are rounding count as white noise of its size.
+    The log-density is in nats, for residuals in their units, up to a constant, so models with different
+    residuals can be compared. Residuals that are mere rounding count as white noise of that size.
     """
     from scipy.optimize import Bounds, minimize  # lazily: most trials learn none
 
@@ -55,7 +55,7 @@ def mode(
     varying = scale > rounding
     centred, inputs = medians.centred(transitions.inputs), transitions.inputs[chosen]
     far = replace(medians, linear=0.0).centred(transitions.inputs).centre * medians.length_scale
-    x = medians.coordinates(inputs) / medians.input_scale - far  # else distances would be rounding
+    x = medians.coordinates(inputs) / medians.input_scale - far  # otherwise distances would be rounding
     basis = medians.linear * centred.basis(centred.scale(inputs))
     y = transitions.residuals[chosen][:, varying] / scale[varying]
     noise_ratio = medians.noise_variance / medians.signal_variance
@@ -94,7 +94,7 @@ def log_marginal_likelihood(
 ) -> tuple[float, Array]:
     """ln p(y | x, theta) of outputs y (N, n) at inputs x (N, r), and its gradient (r+2,).
 
-    K_linear (N, N) is the prior covariance of a linear function that is added.
+    K_linear (N, N) is the prior covariance of an added linear function.
 
     theta (r+2,) are the logarithms of the length scales, of alpha^2 and of sigma^2 / alpha^2
     (Rasmussen and Williams, Gaussian Processes for Machine Learning, Eq. 5.8 and 5.9).

@@ -1,4 +1,4 @@
-"""The covariance that noise in measured states gives to prediction errors over windows."""
+"""The covariance of window prediction errors due to noise in measured states."""
 
 from __future__ import annotations
 
@@ -15,33 +15,33 @@ ROUNDS = 30  # of expectation maximisation
 class Linearisation:
     """First-order predictions over w windows, each of J chunk means of n states: d = J n numbers."""
 
-    by_start: Array  # (w, d, n) derivatives by the state in which a window begins
-    by_parameters: Array  # (w, d, p) by standard normal coordinates of the uncertain parameters
+    by_start: Array  # (w, d, n) derivatives with respect to a window's first state
+    by_parameters: Array  # (w, d, p) derivatives with respect to standard normal parameter coordinates
 
     @staticmethod
     def of(by_start: Array, by_parameters: Array) -> Linearisation:
-        """Flatten derivatives (w, J, n, n) and (w, J, n, p); those that are not finite become zero."""
+        """Flatten derivatives (w, J, n, n) and (w, J, n, p); non-finite ones become zero."""
         w, J, n, _ = by_start.shape
         flat = (each.reshape(w, J * n, each.shape[3]) for each in (by_start, by_parameters))
         return Linearisation(*(np.nan_to_num(each, nan=0.0, posinf=0.0, neginf=0.0) for each in flat))
 
     def of_windows(self, chosen: Flags) -> Linearisation:
-        """Of the chosen windows (w,) alone."""
+        """The linearisation of the chosen windows (w,) only."""
         return Linearisation(self.by_start[chosen], self.by_parameters[chosen])
 
     def parameter_covariance(self, weights: Array) -> Array:
-        """Covariance (d, d) of the errors that fitting the parameters removed; weights (w,) of windows."""
+        """Covariance (d, d) of the errors removed by fitting the parameters; weights (w,) of windows."""
         weighted = np.sqrt(weights)[:, None, None] * self.by_parameters
         flat = weighted.transpose(1, 0, 2).reshape(weighted.shape[1], -1)
         return flat @ flat.T / len(weights)
 
 
 def noise_covariance(errors: Array, weights: Array, linearisation: Linearisation, floor: Array) -> Array:
-    """Covariance (d, d) over windows of the measurement noise that best explains errors (w, d).
+    """Covariance (d, d) of errors due to the measurement noise that best explains errors (w, d).
 
-    Noise of variances P (n,) acts on the state in which a window begins, noise of variances R (n,) on the
-    chunk means that its predictions are compared with. Expectation maximisation estimates both. Neither falls
-    below the square of the deviations `floor` (d,).
+    Noise with variances P (n,) acts on a window's first state; noise with variances R (n,) acts on the chunk
+    means that are compared with predictions. Expectation maximisation estimates both. Neither falls below the
+    square of the deviations `floor` (d,).
     """
     F = linearisation.by_start
     w, d, n = F.shape
@@ -59,7 +59,7 @@ def noise_covariance(errors: Array, weights: Array, linearisation: Linearisation
 
 
 def _moments(F: Array, observed: Array, P: Array, R: Array) -> tuple[Array, Array]:
-    """Second moments of starts (w, n), and (w, d) of errors (w, d, k) without them, given P (n,), R (d,)."""
+    """Second moments (w, n) of starts, and (w, d) of errors (w, d, k) without them, given P (n,), R (d,)."""
     G = F / R[:, None]
     try:
         M = np.linalg.inv(np.diag(1.0 / P) + F.transpose(0, 2, 1) @ G)  # (w, n, n)
@@ -71,7 +71,7 @@ def _moments(F: Array, observed: Array, P: Array, R: Array) -> tuple[Array, Arra
 
 
 def _moments_of_directions(F: Array, observed: Array, P: Array, R: Array) -> tuple[Array, Array]:
-    """The same by singular values: of robots so unstable that predictions tell one direction alone."""
+    """The same by singular values, for robots so unstable that predictions determine a single direction."""
     noise, scale = np.sqrt(R)[:, None], np.sqrt(P)
     U, s, V = np.linalg.svd(F * scale / noise, full_matrices=False)
     told = (U.transpose(0, 2, 1) @ (observed / noise)) * (s / (1.0 + s**2))[:, :, None]

@@ -1,4 +1,4 @@
-"""White noise of recorded states, and states without most of it."""
+"""White noise in recorded states: its size, and smoothing."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ import numpy as np
 
 from simbias.core.records import Array, Rollout
 
-LINEAR = 1e-9  # of a state's range: a second difference that is rounding
-FEWEST = 8  # samples that tell how often a state was measured
-DEGREE = 4  # of polynomials, which keep the height of a motion's waves
-FEWEST_AROUND = 3  # frames to each side of one that is smoothed
-WIDTHS = 12  # numbers of frames that are tried
+LINEAR = 1e-9  # of a state's range: smaller second differences are rounding
+FEWEST = 8  # samples needed to find a state's sampling interval
+DEGREE = 4  # of polynomials, which preserve the amplitude of oscillations
+FEWEST_AROUND = 3  # frames to each side of a smoothed one
+WIDTHS = 12  # candidate numbers of frames
 OUTLIER = 4.0  # deviations of noise
-EVEN = 2.0  # long over short times between samples; between steps of an encoder they differ more
-MOST_BENT = 0.85  # of the frames in which a line between samples bends; above, each may be a sample
-MOSTLY = 0.9  # of the samples: those that bend it to one side alone
+EVEN = 2.0  # ratio of long to short sampling intervals; an encoder's steps differ more
+MOST_BENT = 0.85  # of the frames that bend an interpolated line; above, each frame may be a sample
+MOSTLY = 0.9  # of the samples: share that bends the line to one side only
 
 
 def noise_of(rollouts: Sequence[Rollout]) -> Array:
     """Standard deviations (n,) of white noise in recorded states, from third differences of their samples.
 
-    Those of zero, where an encoder rests, do not count.
+    Zero differences, as from an encoder at rest, do not count.
     """
     thirds = [
         np.abs(np.concatenate([_thirds(*_samples(values)) for values in states]))
@@ -34,19 +34,20 @@ def noise_of(rollouts: Sequence[Rollout]) -> Array:
 
 
 def robust_deviation(sizes: Array) -> Array:
-    """Standard deviations (...) of normal numbers of these sizes (k, ...), some of which may be outliers."""
+    """Standard deviations (...) of normal numbers from their sizes (k, ...), robust to outliers."""
     return np.asarray(np.median(sizes, axis=0) / 0.6745)
 
 
 def smoothed(rollouts: Sequence[Rollout], frames: int) -> list[Array]:
     """States (k + 1, n) of each rollout without most of their white noise.
 
-    Each is that of a polynomial through the frames around, at most `frames` to each side (A. Savitzky and
-    M. J. E. Golay, Analytical Chemistry 36, 1964). For each state, their number is chosen by leave-one-out
-    cross-validation, robust to outliers. Where more than noise would go, as at a collision, states stay as
-    recorded; so do true ones, and rollouts of fewer frames.
+    Each is the value of a polynomial fitted to neighbouring frames, at most `frames` to each side (A.
+    Savitzky and M. J. E. Golay, Analytical Chemistry 36, 1964). For each state, the number of frames is
+    chosen by leave-one-out cross-validation, robust to outliers. Where smoothing would remove more than
+    noise, as at a collision, states stay as recorded. True states and rollouts that are too short are
+    unchanged.
     """
-    from scipy.signal import savgol_coeffs, savgol_filter  # lazily, as of `Actuators`: few need it
+    from scipy.signal import savgol_coeffs, savgol_filter  # lazily, as in `Actuators`: few need it
 
     noisy = [rollout.sensed and len(rollout.states) > 2 * frames for rollout in rollouts]
     long = list(compress(rollouts, noisy))
@@ -69,18 +70,18 @@ def smoothed(rollouts: Sequence[Rollout], frames: int) -> list[Array]:
 
 
 def _samples(values: Array) -> tuple[Array, Array]:
-    """When a state (k,) was measured, in frames, and what: in each, or more rarely and linear between."""
+    """Times, in frames, and values of a state's samples (k,): in each frame, or rarer with interpolation."""
     each = np.arange(float(len(values))), values
-    bends = np.append(np.diff(values, 2), 0.0)  # at each frame but the first
+    bends = np.append(np.diff(values, 2), 0.0)  # at each frame except the first
     bent = np.abs(bends) > LINEAR * np.ptp(values)
     before = np.flatnonzero(bent)
     if len(before) < FEWEST or bent.mean() > MOST_BENT:
         return each
-    # A sample between two frames bends the line in both: every second frame of a run is before a sample.
+    # A sample between two frames bends the line at both, so every second frame of a run precedes a sample.
     runs = before[np.diff(before, prepend=-2) > 1]
     before = before[(before - runs[np.searchsorted(runs, before, side="right") - 1]) % 2 == 0]
     first, second = bends[before], np.where(bent[before + 1], bends[before + 1], 0.0)
-    same = first * second >= 0.0  # an encoder's step bends it to both sides
+    same = first * second >= 0.0  # an encoder's step bends the line to both sides
     before, share = before[same] + 1, second[same] / (first + second)[same]
     if len(before) < FEWEST or same.mean() < MOSTLY:
         return each
@@ -92,7 +93,7 @@ def _samples(values: Array) -> tuple[Array, Array]:
 def _thirds(times: Array, values: Array) -> Array:
     """Third differences (k - 3,) of values (k,), divided by their spacing where it is uneven.
 
-    White noise in the values makes them as large as those of evenly spaced ones.
+    The scaling keeps the effect of white noise the same as for even spacing.
     """
     if len(values) <= 3:
         return values[:0]

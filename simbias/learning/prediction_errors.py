@@ -1,4 +1,4 @@
-"""The distribution of prediction errors over windows, robust to outliers and correlated windows."""
+"""The distribution of window prediction errors, robust to outliers and correlated windows."""
 
 from __future__ import annotations
 
@@ -13,33 +13,33 @@ from simbias.learning.measurement_noise import Linearisation, noise_covariance
 from simbias.learning.noise import robust_deviation
 from simbias.simulation.open_loop import Windows
 
-FREEDOM = 1.0  # nu / d: a window of ten times the usual errors has a fiftieth of the usual weight
+FREEDOM = 1.0  # nu / d: a window with ten times the usual errors has a fiftieth of the usual weight
 ROUNDS = 5  # of expectation maximisation, until the weights have converged
-RELATIVE_FLOOR = 1e-6  # least error, of the standard deviation of a state
-CEILING = 1e6  # standard deviations, in place of errors that are not finite
+RELATIVE_FLOOR = 1e-6  # least error, relative to the standard deviation of a state
+CEILING = 1e6  # standard deviations, replace non-finite errors
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorDistribution:
     """Multivariate Student's t distribution of the d = J n errors of a window, with nu = freedom * d.
 
-    A window with an event that the model lacks has little weight as a whole (K. L. Lange, R. J. A. Little and
-    J. M. G. Taylor, Journal of the American Statistical Association 84, 1989).
+    A window with an unmodelled event has little weight as a whole (K. L. Lange, R. J. A. Little and J. M. G.
+    Taylor, Journal of the American Statistical Association 84, 1989).
     """
 
     factor: Array  # (d, d) lower factor L of the scale matrix
     freedom: float = FREEDOM
-    independent_share: float = 1.0  # effective over actual number of windows; 1 if they are independent
+    independent_share: float = 1.0  # effective number of windows over the actual one; 1 if independent
 
     @staticmethod
     def of(
         errors: Array, windows: Windows, freedom: float = FREEDOM, linearisation: Linearisation | None = None
     ) -> ErrorDistribution:
-        """Estimate it from errors (w, J, n), some of which may be outliers or not finite.
+        """Estimate the distribution from errors (w, J, n), some of which may be outliers or not finite.
 
-        Errors are never taken to be smaller than the windows' noise, and windows at rest, whose errors say
-        nothing of those in motion, are left out. The fewer the windows, the more the scale matrix is shrunk:
-        towards that of measurement noise if linearised predictions are given, else towards its diagonal.
+        The windows' noise is a lower bound on errors. Windows at rest are left out, since their errors are
+        not representative of motion. The fewer the windows, the more the scale matrix is shrunk: towards that
+        of measurement noise if linearised predictions are given, else towards its diagonal.
         """
         errors = errors[windows.moving]
         if linearisation is not None:
@@ -74,7 +74,7 @@ class ErrorDistribution:
 
     def whiten(self, errors: Array) -> Array:
         """Whitened errors (..., d) of errors (..., J, n)."""
-        with np.errstate(invalid="ignore"):  # where a model has blown up
+        with np.errstate(invalid="ignore"):  # if a model has diverged
             white = errors.reshape(*errors.shape[:-2], -1) @ self.inverse.T
         return np.clip(np.nan_to_num(white, nan=CEILING), -CEILING, CEILING)
 
@@ -96,7 +96,7 @@ class ErrorDistribution:
 
 
 def correlation_time(e: Array, experiments: Indices) -> float:
-    """Integrated autocorrelation time of errors e (w, d) of successive windows: at least 1, pooled over d.
+    """Integrated autocorrelation time of errors e (w, d) of successive windows, pooled over d; at least 1.
 
     The sum over lags ends with the last positive pair (C. J. Geyer, Statistical Science 7, 1992).
     """
@@ -112,8 +112,8 @@ def correlation_time(e: Array, experiments: Indices) -> float:
 
 
 def _lagged(errors: Sequence[Array], lag: int) -> float:
-    """Sum of products of errors (w, d) of each experiment with those this number of windows later."""
-    total = 0.0  # one after the other: Python's own sum rounds differently from 3.12 on
+    """Sum of products of errors (w, d) in each experiment with those `lag` windows later."""
+    total = 0.0  # term by term: Python's own sum rounds differently from 3.12 on
     for own in errors:
         total += float(np.sum(own[lag:] * own[: max(len(own) - lag, 0)]))
     return total

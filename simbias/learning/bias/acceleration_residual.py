@@ -1,4 +1,4 @@
-"""A residual on accelerations in place of the whole state."""
+"""A residual of accelerations instead of the whole state."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from simbias.learning.bias.gp import GaussianProcess
 
 
 class AccelerationResidual(GaussianProcess):
-    """Gaussian processes of the residuals of velocities alone, as forces that the model lacks act on these.
+    """Gaussian processes of velocity residuals alone, since unmodelled forces act on velocities.
 
-    A position's residual is a multiple of its velocity's, the same everywhere, which the data tell: a time of
-    half a frame where an acceleration is constant in a frame, a frame in semi-implicit Euler's steps. One of
-    the representations that Section VII asks for.
+    A position's residual is a constant multiple of its velocity's residual, estimated from the data: half a
+    frame if the acceleration is constant in a frame, one frame for semi-implicit Euler steps. This is one of
+    the representations that Section VII suggests.
 
     Raises
     ------
     ValueError
-        If a task has not a velocity for each other state, in its unit per second.
+        If a task lacks a velocity, in its unit per second, for one of the other states.
     """
 
     version = 2
 
     def fit(self, transitions: Transitions) -> FittedBias:
-        """Condition on the residuals of velocities, and on their multiples in place of those of positions."""
+        """Condition on the residuals of velocities, and on multiples of them as residuals of positions."""
         rates, positions = rates_and_positions(self._task.states)
         residuals = transitions.residuals.copy()
         size = np.sum(np.square(residuals[:, rates]), axis=0)

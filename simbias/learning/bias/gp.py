@@ -14,8 +14,8 @@ from simbias.learning.likelihood import HyperPriors, learn
 
 # By sweeps/benchmarks/gp.py, batched on one thread: 11 us at N = 1000, growing faster than N^2 beyond.
 SECONDS_PER_STEP = 11e-6 / 1000**2
-STEPS_OF_A_SEARCH = 3.8e6  # of 1000 policies, some of which fall early
-PATIENCE = 60.0  # s of a search that go without a warning: N = 1200
+STEPS_OF_A_SEARCH = 3.8e6  # for 1000 policies, some of which fall early
+PATIENCE = 60.0  # s: longer searches are warned of; N = 1200
 
 
 class GaussianProcess(Bias):
@@ -24,26 +24,26 @@ class GaussianProcess(Bias):
     Parameters
     ----------
     length_scale
-        Of the scaled inputs; one number, or one for each state and input.
+        Length scale of the scaled inputs: one number, or one for each state and input.
     signal_variance, noise_variance
-        alpha^2 and sigma^2 of Eq. 3, of residuals over their root mean square.
+        alpha^2 and sigma^2 of Eq. 3, for residuals divided by their root mean square.
     d
-        Weight of the variance in Eq. 7, which is that of all states together; 0: the mean as it is.
+        Weight in Eq. 7 of the variance, summed over all states; 0: the unweighted mean.
     input_scale
-        One number for each state and input; by default 1 for states, its limit for an input.
+        One number for each state and input; by default 1 for a state, and the limit for an input.
     learning
-        Learn the hyper-parameters, but d, by marginal likelihood; the given ones are the medians of priors.
+        How to learn the hyper-parameters, except d, by marginal likelihood; the given ones are prior medians.
     inducing
-        See all data through few of its points, so that a search gets no slower with more data.
+        How to represent all data by a few inducing points, so that more data do not slow down a search.
     periodic
-        States that wrap enter as sine and cosine, so that the bias is the same after a turn; lists have one
-        number for both.
+        Whether states that wrap enter as sine and cosine, so that the bias is periodic; lists have one number
+        for both.
     fourier_features
-        Random frequencies, each with its sine and cosine, by which draws from the posterior vary where there
-        are no data (`GPPosterior.draw`); 0: there they are zero.
+        Number of random frequencies, each with sine and cosine. They let draws from the posterior vary far
+        from the data (`GPPosterior.draw`); 0: draws vanish there.
     linear
-        Prior standard deviation of the coefficients of a linear function that is added to each process: of
-        scaled inputs, and of residuals over their root mean square. It holds far from the data, too, and is
+        Prior standard deviation of the coefficients of a linear function added to each process, for scaled
+        inputs and residuals divided by their root mean square. The function extends far from the data, and is
         not weighted in Eq. 7. 0: none.
     """
 

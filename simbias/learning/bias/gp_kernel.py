@@ -1,12 +1,12 @@
-"""The compiled correction of a Gaussian-process bias (Eq. 4, 5 and 7), for all rollouts that run in lockstep.
+"""The compiled correction of a Gaussian-process bias (Eq. 4, 5 and 7), for rollouts in lockstep.
 
-Most of a policy search is spent here: on N^2 / 2 products for the variance of each step. One step alone would
-be bound by reading the factor from the cache; the rollouts that run in lockstep, one in each lane, share one
-reading. Single precision halves it, the triangle L^-1 halves it again against K^-1. The sum of squares
-|L^-1 k|^2 has no cancellation, so the error stays near 1e-6 of the signal variance.
+A policy search spends most of its time here: on N^2 / 2 products for the variance of each step. A single step
+would be bound by reading the factor from the cache; rollouts in lockstep, one in each lane, share one read.
+Single precision halves the traffic, and the triangle L^-1 halves it again compared with K^-1. The sum of
+squares |L^-1 k|^2 has no cancellation, so the error stays near 1e-6 of the signal variance.
 
-Its sums stay in registers because `simbias.simulation.compiler.lanes` says so. Written as loops over the
-lanes of arrays, it takes 2.8 times as long.
+Its sums stay in registers thanks to `simbias.simulation.compiler.lanes`. With loops over the lanes of arrays,
+it takes 2.8 times as long.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ from simbias.simulation.compiler import (
     store,
 )
 
-PANEL = 6  # rows that are multiplied together; with 16 lanes they fill the registers of AVX2
+PANEL = 6  # rows multiplied together; with 16 lanes they fill the registers of AVX2
 
 
 def pack_triangle(U: Array) -> np.ndarray:
-    """The panels of a lower triangle (N, N), one after the other, each without the zeros on its right."""
+    """The panels of a lower triangle (N, N), concatenated, each without the zeros on its right."""
     return _pack([U[first : first + PANEL, : first + PANEL] for first in range(0, len(U), PANEL)])
 
 
 def pack(M: Array) -> np.ndarray:
-    """The panels of a matrix (k, N), one after the other."""
+    """The panels of a matrix (k, N), concatenated."""
     return _pack([M[first : first + PANEL] for first in range(0, len(M), PANEL)])
 
 
 def _pack(panels: list[Array]) -> np.ndarray:
-    """Panels of PANEL rows each, missing ones zero, column by column."""
+    """Panels of PANEL rows each, zero-padded, column by column."""
     filled = [np.pad(panel, ((0, PANEL - len(panel)), (0, 0))) for panel in panels]
     return np.concatenate([np.zeros(0), *(panel.T.ravel() for panel in filled)]).astype(np.float32)
 
@@ -63,7 +63,7 @@ def coordinates_of(x, u, inverse_scale, centre, angles):
 
 
 def correlations(coordinates, points):
-    """k (N, LANES) of Eq. 4, over alpha^2, at scaled coordinates (r, LANES)."""
+    """k (N, LANES) of Eq. 4, divided by alpha^2, at scaled coordinates (r, LANES)."""
     N, r = points.shape
     k = np.empty((N, LANES), np.float32)
     for j in range(N):
@@ -76,7 +76,7 @@ def correlations(coordinates, points):
 
 
 def waves(coordinates, frequencies):
-    """Cosines (F, LANES) at coordinates (r, LANES), of frequencies (F, r + 1) in turns; phases are last."""
+    """Cosines (F, LANES) at coordinates (r, LANES), with frequencies (F, r + 1) in turns, phases last."""
     F, columns = frequencies.shape
     values = np.empty((F, LANES), np.float32)
     for j in range(F):
@@ -88,7 +88,7 @@ def waves(coordinates, frequencies):
 
 
 def product(panels, offset, columns, k):
-    """The PANEL rows of the panel at this offset, times as many rows of k (N, LANES) as it has columns."""
+    """The panel at this offset, with PANEL rows, times as many rows of k (N, LANES) as it has columns."""
     v0 = v1 = v2 = v3 = v4 = v5 = everywhere(np.float32(0.0))
     for j in range(columns):
         k_j = load(k, j)
@@ -117,7 +117,7 @@ def squared_norms(triangle, k, N):
 
 
 def means(weights, k, n):
-    """W^T k, Eq. 4 over alpha^2: (at least n, LANES) for k (N, LANES)."""
+    """W^T k, Eq. 4 divided by alpha^2: (at least n, LANES) for k (N, LANES)."""
     N = k.shape[0]
     mean = np.empty((n + PANEL, LANES), np.float32)
     for first in range(0, n, PANEL):
@@ -129,7 +129,7 @@ def means(weights, k, n):
 
 
 def add_linear(coefficients, coordinates, values):
-    """Add linear functions (n, r + 1) of coordinates (r, LANES) to values (n, LANES); constants are last."""
+    """Add linear functions (n, r + 1) of coordinates (r, LANES) to values (n, LANES), constants last."""
     n, columns = coefficients.shape
     for i in range(n):
         value = load(values, i) + everywhere(coefficients[i, columns - 1])
@@ -148,9 +148,9 @@ def factor(norm, constants):
 def correct(x, u, data, correction):
     """exp(-d |sigma|^2) times the mean, for states x (n, LANES) under u (m, LANES).
 
-    The data are the points (N, r), U, W, the rows of U, 1 / scale, the centre, (alpha^2, prior, d n), the
-    columns of angles, and the frequencies and amplitudes of waves and the coefficients of linear functions,
-    which are added. With d n = 0 it is the mean alone, and needs no U.
+    The data are: points (N, r), U, W, the number of rows of U, 1 / scale, the centre, (alpha^2, prior, d n),
+    the columns of angles; and, for the added terms, frequencies and amplitudes of waves, and coefficients of
+    linear functions. With d n = 0 the result is the unweighted mean, and U is not needed.
     """
     (
         points,

@@ -19,15 +19,15 @@ Tolerance = Annotated[float, Field(gt=0, lt=1)]
 
 @dataclass(frozen=True)
 class Inducing:
-    """Limits in the choice of inducing points.
+    """Limits for the choice of inducing points.
 
-    The variance needs fewer points than the mean, whose weights are large, and costs their number squared: it
-    uses the first of them only.
+    The variance uses only the first of the points: it needs fewer than the mean, whose weights are large, and
+    its cost grows with their number squared.
     """
 
-    points: Count = 200  # at most
-    tolerance: Tolerance = 1e-4  # stop once all other points have less than this part of alpha^2
-    variance_tolerance: Tolerance = 1e-3  # likewise for the variance; at least `tolerance`
+    points: Count = 200  # maximum number
+    tolerance: Tolerance = 1e-4  # stop once the variance at all other points is below this share of alpha^2
+    variance_tolerance: Tolerance = 1e-3  # the same for the points of the variance; at least `tolerance`
 
     def __post_init__(self) -> None:
         """Check that the points for the variance are among those for the mean."""
@@ -48,10 +48,10 @@ class View:
 
 
 def choose(hyper: Hyperparameters, points: Array, inducing: Inducing) -> tuple[list[int], int]:
-    """Indices of the inducing points among scaled points (N, r), and how many the variance needs.
+    """Indices of the inducing points among scaled points (N, r), and the number used for the variance.
 
     They are the first pivots of a pivoted Cholesky factorisation of the covariance: each is the point whose
-    latent value is the least certain given those before it.
+    latent value is least certain given the earlier ones.
     """
     variance = np.full(len(points), hyper.signal_variance)
     factor = np.zeros((min(inducing.points, len(points)), len(points)))

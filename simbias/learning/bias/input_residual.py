@@ -1,4 +1,4 @@
-"""A residual on the input in place of the state: what the inputs would have had to add."""
+"""A residual of the input instead of the state: the additional input that would explain the error."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from simbias.core.records import Array, Rollout, Transitions
 from simbias.learning.bias.gp import GaussianProcess
 from simbias.learning.covariance import output_scale
 
-STEP = 1e-3  # of states' unit inputs, for derivatives of the model
+STEP = 1e-3  # relative step of inputs, for derivatives of the model
 
 
 class InputResidual(GaussianProcess):
-    """Gaussian processes of the part of a residual that a delta u could have caused.
+    """Gaussian processes of the part of a residual that a change delta u of the input would explain.
 
-    A delta action, as ASAP learns by a neural network (He et al., arXiv:2502.01143), to first order: of the
-    residual Delta at a sample, B delta u is learned, where delta u is the least-squares solution of
-    B delta u = Delta, and B the slope of the nominal model there. What acts through the motors, as a gain,
-    friction or an offset, is of this kind; all else is left out.
+    This is a delta action, which ASAP learns with a neural network (He et al., arXiv:2502.01143), to first
+    order. From the residual Delta at a sample, B delta u is learned: delta u is the least-squares solution of
+    B delta u = Delta, and B is the nominal model's input Jacobian there. It covers effects that act through
+    the motors, such as a gain, friction or an offset; everything else is left out.
     """
 
     def learn(self, transitions: Transitions, rollouts: Sequence[Rollout], nominal: Nominal) -> FittedBias:
-        """Learn from the data and the (identified) nominal model that it comes from.
+        """Learn from the data and the (identified) nominal model that the residuals refer to.
 
         Raises
         ------
         ValueError
-            If inputs do not act in this model, so that none could have caused a residual.
+            If inputs have no effect in this model, so that none can explain a residual.
         """
         x, u = np.split(transitions.inputs, [transitions.residuals.shape[1]], axis=1)
         lower, upper = np.nan_to_num(self._task.input_bounds, posinf=1.0, neginf=-1.0)
@@ -40,7 +40,7 @@ class InputResidual(GaussianProcess):
 
 
 def through_inputs(transitions: Transitions, nominal: Nominal) -> Array:
-    """B delta u (N, n) of residuals (N, n), in which all states weigh alike."""
+    """B delta u (N, n) of residuals (N, n), with all states weighted equally."""
     residuals = transitions.residuals
     scale = np.where(size := output_scale(residuals), size, 1.0)
     x, u = np.split(transitions.inputs, [residuals.shape[1]], axis=1)

@@ -1,4 +1,4 @@
-"""Least-squares conditional density estimation of the residuals: no Gaussian assumption on transitions."""
+"""Least-squares conditional density estimation of the residuals, without assuming Gaussian transitions."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ from simbias.learning.covariance import FAR, correlation, hyperparameters, outpu
 from simbias.simulation.compiler import LANES
 
 Candidates = Annotated[list[Positive], Field(min_length=1)]
-SEED = 0  # of centres and folds: the same data give the same bias
+SEED = 0  # of centres and folds, so that the same data give the same bias
 NOTHING = 1e-3  # of the largest weight, added to p(x): far from all data the mean is zero
 
 
 class LeastSquaresDensity(Bias):
     """A conditional density p(y | x) for each state, fitted by least squares (Sugiyama et al., IEICE 2010).
 
-    Tangkaratt et al. (Neural Networks 57, 2014) learn transition models so. The ratio p(x, y) / p(x) is a sum
-    of Gaussian kernels at b of the samples, whose weights have a closed form. Width and regularisation, the
-    same for all states, have the least cross-validated squared error. The simulation adds the mean.
+    Tangkaratt et al. (Neural Networks 57, 2014) learn transition models this way. The ratio p(x, y) / p(x) is
+    a sum of Gaussian kernels at b of the samples, with closed-form weights. Width and regularisation, shared
+    by all states, minimise the cross-validated squared error. The simulation adds the mean.
 
     Parameters
     ----------
     task
-        Limits of the inputs, by which they are scaled.
+        Provides the input limits, by which inputs are scaled.
     kernels
-        b, at most.
+        b, at most; the number of kernels.
     widths
-        Candidates of sigma, of inputs over their deviation and residuals over their root mean square.
+        Candidates for sigma, with inputs divided by their deviation and residuals by their root mean square.
     regularisations
-        Candidates of lambda.
+        Candidates for lambda.
     folds
-        Fits, each without some of the samples.
+        Number of cross-validation folds.
     """
 
     def __init__(
@@ -54,9 +54,9 @@ class LeastSquaresDensity(Bias):
         self._kernels, self._folds = kernels, folds
         self._candidates = [(width, each) for width in widths for each in regularisations]
 
-    @threadpool_limits.wrap(limits=1, user_api="blas")  # of small matrices: threads cost more than they save
+    @threadpool_limits.wrap(limits=1, user_api="blas")  # for small matrices, threads cost more than they save
     def fit(self, transitions: Transitions) -> FittedBias:
-        """Fit a density to each state's residuals; of fewer samples than folds, zero."""
+        """Fit a density to each state's residuals; zero bias with fewer samples than folds."""
         N, n = transitions.residuals.shape
         if self._folds > N:
             return ZeroBias(n)
@@ -81,7 +81,7 @@ class LeastSquaresDensity(Bias):
     def _error(
         self, x: Array, y: Array, chosen: Indices, own: Flags, width: float, regularisation: float
     ) -> float:
-        """Squared error of densities, up to a constant, on some samples that were left out."""
+        """Squared error of densities, up to a constant, on held-out samples."""
         weights = _weights(*_moments(x[~own], y[~own], x[chosen], y[chosen], width), regularisation)
         H, h = _moments(x[own], y[own], x[chosen], y[chosen], width)
         return float(np.einsum("il,ilk,ik", weights, H, weights) / 2 - np.sum(h * weights))
@@ -97,7 +97,7 @@ def _moments(x: Array, y: Array, u: Array, v: Array, width: float) -> tuple[Arra
 
 
 def _weights(H: Array, h: Array, regularisation: float) -> Array:
-    """The least-squares weights (n, b), those below zero being zero."""
+    """The least-squares weights (n, b), with negative ones set to zero."""
     regular = H + regularisation * np.eye(H.shape[-1])
     return np.maximum(np.linalg.solve(regular, h[..., None])[..., 0], 0.0)
 
@@ -134,7 +134,7 @@ class FittedDensity(FittedBias):
         return self._shares(inputs)[state] @ bumps.T / (np.sqrt(2 * np.pi) * size)
 
     def _shares(self, inputs: Array) -> Array:
-        """Shares (n, k, b) of the kernels in p(y | x); what they lack of one belongs to zero."""
+        """Shares (n, k, b) of the kernels in p(y | x); the remainder to one belongs to a zero residual."""
         near = correlation((inputs * self._units - self._centre) / self._width, self._u / self._width)
         near = self._weights[:, None] * near
         return near / (near.sum(axis=-1, keepdims=True) + self._floors[:, None, None])

@@ -1,4 +1,4 @@
-"""Biases that are the same everywhere, and no bias learning: g = 0."""
+"""Constant biases, and no bias learning: g = 0."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class ConstantBias(FittedBias):
 
 
 class ZeroBias(ConstantBias):
-    """g = 0 without uncertainty, of n states."""
+    """g = 0 without uncertainty, for n states."""
 
     def __init__(self, n: int) -> None:
         super().__init__(np.zeros(n), np.zeros(n))

@@ -1,4 +1,4 @@
-"""Gaussian-process posteriors (Section IV-B to IV-D): exact, through inducing points, and drawn from."""
+"""Gaussian-process posteriors (Section IV-B to IV-D): exact, sparse with inducing points, and samples."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from simbias.learning.covariance import Hyperparameters, output_scale, stable_ch
 from simbias.simulation.compiler import constant
 
 ROWS = 32
-MOST_COMPARED = 2000  # samples up to which a sparse posterior is compared with the exact one, at cost N^3
+MOST_COMPARED = 2000  # samples; with more, a sparse posterior is not compared with the exact one (cost N^3)
 
 
 @final
 @dataclass(eq=False)
 class GPPosterior(FittedBias):
-    """A posterior for each state; all share inputs and hyper-parameters, so also one factorisation.
+    """A posterior for each state; all share inputs and hyper-parameters, and thus one factorisation.
 
     With k the covariance of a new input and the N points, the means are k^T W (Eq. 4), and the variance is
-    k(x, x) - |U k|^2 (Eq. 5), in units of each output's mean square; U is a lower triangle, of all points or
-    of the first ones. A linear function, if there is one, is added to each, and is not weighted in Eq. 7.
+    k(x, x) - |U k|^2 (Eq. 5), in units of each output's mean square. U is a lower triangle, for all points or
+    for the first ones. An optional linear function is added to each mean, and is not weighted in Eq. 7.
     """
 
     hyper: Hyperparameters
@@ -36,10 +36,10 @@ class GPPosterior(FittedBias):
     points: Array  # (N, r), scaled
     U: Array  # (M, M), M <= N
     W: Array  # (N, n)
-    R: Array  # (m, N), R^T R the covariance of a draw's weights, given its waves
-    L_inverse: Array  # (m, N), L_inverse^T L_inverse waves(points) what its weights take back of its waves
+    R: Array  # (m, N), R^T R is the covariance of a draw's weights, given its waves
+    L_inverse: Array  # (m, N), L_inverse^T L_inverse waves(points): weights that offset its waves
     trend: Trend
-    features: int = 0  # of a draw
+    features: int = 0  # number of Fourier features of a draw
     diagnostics: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -57,11 +57,11 @@ class GPPosterior(FittedBias):
         return mean + basis @ self.trend.mean, variance[:, None] * self.scale**2
 
     def relative(self, inputs: Array) -> tuple[Array, Array]:
-        """Mean (k, n), and variance (k,) over each output's mean square, given the linear function."""
+        """Mean (k, n), and variance (k,) relative to each output's mean square, given the linear function."""
         return self._given_trend(self.hyper.covariance(self.hyper.scale(inputs), self.points))
 
     def _given_trend(self, k_star: Array) -> tuple[Array, Array]:
-        """The same, of covariances k_star (k, N) of inputs with the points."""
+        """The same, from covariances k_star (k, N) of inputs with the points."""
         known = np.sum((k_star[:, : len(self.U)] @ self.U.T) ** 2, axis=1)
         return k_star @ self.W, self.hyper.prior_variance - known
 
@@ -74,7 +74,7 @@ class GPPosterior(FittedBias):
         return _row_by_row(self._weighted, x, u)
 
     def _weighted(self, inputs: Array) -> Array:
-        """The mean (k, n) at raw inputs (k, n+m), times its weight in Eq. 7, and the linear function."""
+        """The mean (k, n) at raw inputs (k, n+m), times its weight in Eq. 7, plus the linear function."""
         mean, variance = self.relative(inputs)
         linear = self.hyper.basis(self.hyper.scale(inputs)) @ self.trend.mean
         return self.weight(variance)[:, None] * mean + linear
@@ -82,14 +82,15 @@ class GPPosterior(FittedBias):
     def draw(self, rng: np.random.Generator) -> GPSample:
         """A sample of the latent values at the inducing points.
 
-        Beyond these points it returns to zero as the mean does: neither the conditional variance
-        k(x, x) - k^T K_ZZ^-1 k nor the noise is sampled. Its size depends on the hyper-parameters: learned
-        ones reflect the error of the mean, Table I's only the distance from the data.
+        Away from these points it returns to zero like the mean: neither the conditional variance k(x, x) -
+        k^T K_ZZ^-1 k nor the noise is sampled. The size of the sampled variations depends on the
+        hyper-parameters: learned ones reflect the error of the mean, those of Table I only the distance from
+        the data.
 
-        With Fourier features, the conditional variance is sampled too: a function of the prior less what its
-        values at the inducing points predict of it (J. Wilson et al., Efficiently Sampling Functions from
-        Gaussian Process Posteriors, ICML 2020). Over many draws, mean and variance of the values are those
-        of the posterior at any input, whatever the number of features. Without data it is zero.
+        With Fourier features, the conditional variance is sampled too: a function from the prior minus its
+        prediction from its values at the inducing points (J. Wilson et al., Efficiently Sampling Functions
+        from Gaussian Process Posteriors, ICML 2020). Over many draws, mean and variance of the values equal
+        those of the posterior at any input, for any number of features. Without data the sample is zero.
         """
         e = rng.standard_normal((len(self.R), len(self.scale)))
         weights = self.W + self.scale * (self.R.T @ e)
@@ -116,7 +117,7 @@ class Waves:
 
     @staticmethod
     def drawn(hyper: Hyperparameters, features: int, scale: Array, rng: np.random.Generator) -> Waves:
-        """Cosines and sines of frequencies from the spectrum of Eq. 3; outputs in units of scale (n,)."""
+        """Cosines and sines, with frequencies from the spectrum of Eq. 3; outputs in units of scale (n,)."""
         frequencies = np.tile(rng.standard_normal((features, len(hyper.length_scale))), (2, 1))
         phases = np.repeat([0.0, -np.pi / 2], features)
         size = np.sqrt(hyper.signal_variance / features) * scale
@@ -124,7 +125,7 @@ class Waves:
 
     @staticmethod
     def none(r: int, n: int) -> Waves:
-        """The function zero."""
+        """The zero function."""
         return Waves(np.empty((0, r)), np.empty(0), np.empty((0, n)))
 
     def __call__(self, scaled: Array) -> Array:
@@ -134,9 +135,9 @@ class Waves:
 
 @final
 class GPSample(FittedBias):
-    """A function k^T W drawn from a posterior, with waves and a linear function (p, n) if there are any.
+    """A function k^T W drawn from a posterior, with optional waves and linear function (p, n).
 
-    Its weight in Eq. 7 is one: samples differ where there is little data, so a smaller weight there would
+    Its weight in Eq. 7 is one: samples already differ where data are scarce, so a smaller weight there would
     count the same uncertainty twice.
     """
 
@@ -156,7 +157,7 @@ class GPSample(FittedBias):
         self.kernel = _compiled(hyper, points, W, np.empty((0, 0)), 0.0, self._trend, waves)
 
     def predict(self, inputs: Array) -> tuple[Array, Array]:
-        """The function's values (k, n), and variances (k, n): zeros."""
+        """The function's values (k, n), and zero variances (k, n)."""
         scaled = self._hyper.scale(inputs)
         values = self._hyper.covariance(scaled, self._points) @ self._W
         values += self._hyper.basis(scaled) @ self._trend
@@ -172,7 +173,7 @@ class GPSample(FittedBias):
 def _row_by_row(function: Callable[[Array], Array], x: Array, u: Array) -> Array:
     """Apply a function of inputs (k, n+m) at x (..., n), u (..., m), each row independent of the others.
 
-    BLAS chooses its order of summation by matrix size, so all calls have ROWS rows.
+    BLAS chooses its order of summation by matrix size, so all calls use ROWS rows.
     """
     inputs = np.concatenate([x, u], axis=-1)
     rows = inputs.reshape(-1, inputs.shape[-1])
@@ -192,7 +193,7 @@ def _compiled(
     trend: Array,
     waves: Waves | None = None,
 ) -> Kernel:
-    """The compiled correction in single precision; without points, the constant zero."""
+    """The compiled correction in single precision; zero without points."""
     if not len(points):
         return constant(np.zeros(W.shape[1]))
     waves = waves or Waves.none(points.shape[1], W.shape[1])
@@ -217,7 +218,7 @@ def _compiled(
 def exact(hyper: Hyperparameters, transitions: Transitions, features: int = 0) -> GPPosterior:
     """The posterior given all data: U = L^-1, W = K^-1 y, K = L L^T.
 
-    Without Fourier features, its draws vary at inducing points, up to 200 of the data.
+    Without Fourier features, its draws vary only at inducing points: at most 200 of the data.
     """
     hyper = hyper.centred(transitions.inputs)
     points = hyper.scale(transitions.inputs)
@@ -234,7 +235,7 @@ def exact(hyper: Hyperparameters, transitions: Transitions, features: int = 0) -
     trend = Trend.learned(hyper, points, transitions.residuals, solve)
     W = solve(transitions.residuals)[0] - trend.G @ trend.mean
     scale = output_scale(transitions.residuals)
-    if features:  # weights K^-1 (y - waves - noise), of all points
+    if features:  # weights K^-1 (y - waves - noise), for all points
         R, of_drawn = np.sqrt(hyper.noise_variance) * (L_inverse.T @ L_inverse), L_inverse
     else:
         chosen, _ = choose(hyper, points, Inducing())
@@ -247,11 +248,11 @@ def exact(hyper: Hyperparameters, transitions: Transitions, features: int = 0) -
 def sparse(
     hyper: Hyperparameters, transitions: Transitions, inducing: Inducing, features: int
 ) -> GPPosterior:
-    """The posterior of Titsias (AISTATS 2009, Eq. 6): all data, seen through the inducing points Z.
+    """The sparse posterior of Titsias (AISTATS 2009, Eq. 6): all data, represented by inducing points Z.
 
-    With S = (K_ZZ + K_ZX K_XZ / sigma^2)^-1, W = S K_ZX y / sigma^2 and U^T U = K_ZZ^-1 - S, for which Z is
-    fewer points. Its diagnostics are the greatest differences from the exact posterior, at training inputs,
-    of the mean (in units of the residuals' root mean square) and of the weight of Eq. 7.
+    With S = (K_ZZ + K_ZX K_XZ / sigma^2)^-1, W = S K_ZX y / sigma^2 and U^T U = K_ZZ^-1 - S; for U, Z has
+    fewer points. The diagnostics are the largest differences from the exact posterior at training inputs: of
+    the mean (in units of the residuals' root mean square) and of the weight in Eq. 7.
     """
     hyper = hyper.centred(transitions.inputs)
     points = hyper.scale(transitions.inputs)
@@ -278,7 +279,7 @@ def sparse(
 
 
 def _errors(approximate: GPPosterior, reference: GPPosterior, transitions: Transitions) -> dict[str, float]:
-    """Greatest differences of two posteriors at up to 200 of the training inputs."""
+    """Largest differences between two posteriors at up to 200 training inputs."""
     inputs = transitions.inputs[:: max(1, len(transitions) // 200)]
     mean, exact_mean = (p.predict(inputs)[0] for p in (approximate, reference))
     variance, exact_variance = (p.relative(inputs)[1] for p in (approximate, reference))

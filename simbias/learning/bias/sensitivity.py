@@ -1,4 +1,4 @@
-"""First-order sensitivity of predictions over windows to a bias along them."""
+"""First-order sensitivity of window predictions to a bias along them."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from simbias.core import Nominal
 from simbias.core.records import Array, Indices
 from simbias.simulation.open_loop import Windows, model_states
 
-STEP = 1e-5  # of a state, for derivatives by differences
+STEP = 1e-5  # of a state, for finite differences
 BATCH = 64  # windows differentiated at once, to bound memory
 
 
 def sensitivities(nominal: Nominal, windows: Windows, features: Callable[[Array], Array]) -> Array:
-    """Derivatives (w, J, n, n R) of chunk means by the weights of R features in each of n states.
+    """Derivatives (w, J, n, n R) of chunk means with respect to the weights of R features of each state.
 
     They are taken along the nominal model's predictions; features (k, R) are of inputs (k, n+m).
     """
@@ -33,7 +33,7 @@ def _of(
     starts: Indices,
     model_state: Array,
 ) -> Array:
-    """Derivatives (w, J, n, n R) for the windows that begin in rows `starts` (w,)."""
+    """Derivatives (w, J, n, n R) for the windows that begin at rows `starts` (w,)."""
     x = windows.states[starts]
     w, n = x.shape
     diagonal = np.arange(n)

@@ -1,4 +1,4 @@
-"""A linear function that is added to a Gaussian process, and learned with it."""
+"""A linear function that is added to a Gaussian process and learned jointly with it."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from simbias.learning.covariance import Hyperparameters, stable_cholesky
 
 @dataclass(frozen=True, eq=False)
 class Trend:
-    """The posterior of b in y = b^T h(x) + g(x): g a Gaussian process, h (p,) the basis of linear functions.
+    """The posterior of b in y = b^T h(x) + g(x), with g a Gaussian process and h (p,) a linear basis.
 
-    The prior of b is normal; its deviation is `Hyperparameters.linear` times the root mean square of the
-    output. With b known, g is the process of y - b^T h, whose weights are W - G b (C. E. Rasmussen,
-    C. K. I. Williams, Gaussian Processes for Machine Learning, Section 2.7). Without data b is zero.
+    The prior of b is normal; its standard deviation is `Hyperparameters.linear` times the root mean square of
+    the output. Given b, g is the process of y - b^T h, with weights W - G b (C. E. Rasmussen, C. K. I.
+    Williams, Gaussian Processes for Machine Learning, Section 2.7). Without data b is zero.
     """
 
     mean: Array  # (p, n) of b
-    root: Array  # (p, p) R with R^T R the covariance of b, over each output's mean square
-    G: Array  # (N, p) the process's weights for each function of the basis, as if it were an output
+    root: Array  # (p, p) R, where R^T R is the covariance of b relative to each output's mean square
+    G: Array  # (N, p) the process's weights if each basis function were an output
 
     @staticmethod
     def learned(

@@ -1,4 +1,4 @@
-"""A residual GP learned from windows of experiments, its hyper-parameters chosen by cross-validation."""
+"""A residual GP learned from windows of experiments, with cross-validated hyper-parameters."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from simbias.learning.noise import robust_deviation
 from simbias.learning.prediction_errors import ErrorDistribution, correlation_time
 from simbias.simulation.open_loop import PredictionModel, Windows, predict
 
-LEAST_SIGNAL = 1e-12  # in a state's unit; a state that the model predicts exactly would have zero
+LEAST_SIGNAL = 1e-12  # in a state's unit; it would be zero for a state that the model predicts exactly
 JITTER = 1e-6  # of the inducing points' covariance, relative to the signal's variance
 CANDIDATES = 2000  # inputs among which inducing points are chosen
 
@@ -31,10 +31,10 @@ class WindowGP(Bias):
     """One Gaussian process for each state, learned from windows; length scale and signal by cross-validation.
 
     The residual of the (identified) nominal model over a window is, to first order, linear in the values of
-    the bias along it. Fitting windows instead of single steps averages out measurement noise; errors are
-    distributed as in the identification of parameters. Segments of the experiments are left out in turn, and
-    the length scale and signal taken that predict them. If none improves on the nominal model by more than
-    one standard error, the bias is zero everywhere.
+    the bias along it. Fitting windows instead of single steps averages out measurement noise; the error
+    distribution is that of the parameter identification. Segments of the experiments are held out in turn,
+    and the length scale and signal that predict them are chosen. If none improves on the nominal model by
+    more than one standard error, the bias is zero everywhere.
 
     Parameters
     ----------
@@ -42,17 +42,17 @@ class WindowGP(Bias):
         Duration of a prediction in s, and the number of its parts whose means are compared.
     length_scales
         Candidates, in standard deviations of the inputs in the data. The shortest that improves the
-        prediction is taken, as its bias vanishes soonest beyond the data.
+        prediction is chosen, as its bias vanishes fastest away from the data.
     signals
         Candidates for the standard deviation of the bias, relative to the constant bias that would explain
         the root mean square residual of a window.
     segment, folds
-        Duration in s of the segments that are left out in turn, and the most fits that this may take.
+        Duration in s of the held-out segments, and the maximum number of fits.
     points
         Largest number of inducing points.
     d
-        Weight of the variance in Eq. 7; a state's variance is relative to that of its prior. 0: the mean as
-        it is.
+        Weight of the variance in Eq. 7; a state's variance is relative to that of its prior. 0: the
+        unweighted mean.
     """
 
     def __init__(
@@ -104,7 +104,7 @@ class WindowGP(Bias):
         return self.fit(transitions)
 
     def _fold(self, windows: Windows) -> Indices:
-        """Index (w,) of the fit that each window is left out of."""
+        """Index (w,) of the fold of each window, in whose fit it is held out."""
         segments, first = np.empty(len(windows), np.int64), 0
         for experiment in np.unique(windows.experiments):
             own = np.flatnonzero(windows.experiments == experiment)
@@ -113,7 +113,7 @@ class WindowGP(Bias):
         return segments * min(self._folds, first) // first
 
     def _inducing(self, windows: Windows, length: float, nominal: Nominal) -> tuple[Hyperparameters, Array]:
-        """Hyper-parameters scaled by the data, and scaled inducing points (R, n+m)."""
+        """Hyper-parameters in scales of the data, and scaled inducing points (R, n+m)."""
         rows = (windows.starts[:, None] + np.arange(windows.window)).ravel()
         rows = rows[:: max(1, len(rows) // CANDIDATES)]
         inputs = np.concatenate([windows.states[rows], windows.acted(nominal)[rows]], axis=1)
@@ -126,7 +126,7 @@ class WindowGP(Bias):
 
 @dataclass(frozen=True, eq=False)
 class _Fits:
-    """Linear regression of whitened residuals on feature weights, with leave-one-fold-out posteriors."""
+    """Linear regression of whitened residuals on feature weights, with posteriors that hold out one fold."""
 
     A: Array  # (w, J n, n R) weighted, whitened sensitivities
     b: Array  # (w, J n) weighted, whitened residuals
@@ -160,7 +160,7 @@ class _Fits:
         return self.independent_share * covariance @ g, covariance
 
     def gain(self, signal: Array) -> float:
-        """Mean decrease of the squared errors of left-out windows, less one standard error."""
+        """Mean decrease of the squared errors of held-out windows, minus one standard error."""
         gains = np.empty(len(self.b))
         for f in range(len(self.products)):
             own = self.fold == f
@@ -198,11 +198,11 @@ class WindowPosterior(FittedBias):
         self.diagnostics = diagnostics
 
     def _of(self, weights: Array) -> GPSample:
-        """The bias of feature weights (n R,)."""
+        """The bias with feature weights (n R,)."""
         return GPSample(self._hyper, self._Z, self._at_points(weights))
 
     def _at_points(self, weights: Array) -> Array:
-        """Weights (R, n) of the covariances with the inducing points, of feature weights (n R,)."""
+        """Weights (R, n) of the covariances with the inducing points, from feature weights (n R,)."""
         return self._root.T @ weights.reshape(len(self._signal), -1).T
 
     def _blocks(self) -> list[Array]:
@@ -211,13 +211,13 @@ class WindowPosterior(FittedBias):
         return [self._covariance[i : i + R, i : i + R] for i in range(0, len(self._mean), R)]
 
     def _weighted(self) -> GPPosterior:
-        """The mean with its weight in Eq. 7: |sigma_t|^2 sums variances over those of the prior."""
+        """The mean with its weight in Eq. 7: |sigma_t|^2 sums variances relative to those of the prior."""
         shares = [block / s**2 for block, s in zip(self._blocks(), self._signal, strict=True)]
         values, vectors = np.linalg.eigh(np.eye(len(self._Z)) - np.mean(shares, axis=0))
         A = np.sqrt(np.maximum(values, 0.0))[:, None] * (vectors.T @ self._root)
         U = np.flip(np.linalg.qr(np.flip(A, axis=1))[1])  # lower, with U^T U = A^T A
         W = self._at_points(self._mean)
-        none = np.empty((0, len(W)))  # it is not drawn from
+        none = np.empty((0, len(W)))  # no draws are made from it
         return GPPosterior(self._hyper, self._signal, self._Z, U, W, none, none, Trend.none(*W.shape))
 
     def predict(self, inputs: Array) -> tuple[Array, Array]:

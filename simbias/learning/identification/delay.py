@@ -1,4 +1,4 @@
-"""The delay of motors, whatever else of a robot is known."""
+"""The delay of motors, identified regardless of what else is known of a robot."""
 
 from __future__ import annotations
 
@@ -18,26 +18,28 @@ from simbias.learning.likelihood import HyperPriors, mode
 from simbias.simulation.actuator import Actuator, Actuators, taps_of
 from simbias.simulation.compiler import of_nominal, points_of
 
-STEPS = 2  # candidate delays in each frame
-MOST = 24  # candidates beside no delay: each likelihood takes up to a second
+STEPS = 2  # candidate delays per frame
+MOST = 24  # candidates besides zero: each likelihood takes up to a second
 
 
 class Delay(Identification):
-    """The most probable delay of all motors, whatever the robot does with its inputs once they act.
+    """The most probable common delay of all motors, for any effect of the delayed inputs on the robot.
 
-    For each delay, Gaussian processes of the nominal model's residuals, with learned hyper-parameters, are
-    functions of the states and of the inputs that act. Their marginal likelihood tells the delay: with a
-    wrong one, the processes see inputs that did not cause the residuals, and take the difference for noise.
-    A lag counts as a delay.
+    For each delay, the nominal model's residuals are Gaussian processes of the states and the delayed inputs,
+    with learned hyper-parameters. Their marginal likelihood identifies the delay: with a wrong one, the
+    processes have inputs that did not cause the residuals, and explain the difference as noise. A lag counts
+    as a delay.
 
     Parameters
     ----------
     longest
-        In s; all delays up to it have the same prior probability.
+        The longest delay, in s; all delays up to it have the same prior probability.
     points
-        Most samples of a likelihood, evenly spaced in the data; its time grows with their number cubed.
+        Maximum number of samples in a likelihood, evenly spaced in the data; the computing time is cubic in
+        it.
     draws
-        Draws of the model have any delay, by its probability; else the most probable one, too.
+        Whether draws of the model have random delays, by their probabilities; otherwise the most probable
+        one.
     """
 
     def __init__(self, task: Task, longest: Seconds = 0.06, points: Count = 200, draws: bool = False) -> None:
@@ -50,12 +52,12 @@ class Delay(Identification):
         self._medians = hyperparameters(task, 1.0, 1.0, 0.02, 1.0, None, periodic=True)
 
     def fit(self, nominal: Nominal, rollouts: Sequence[Rollout]) -> Late:
-        """The model behind motors of the most probable delay, by all rollouts; of none without rollouts.
+        """The model behind motors with the most probable delay given all rollouts; zero without rollouts.
 
         Raises
         ------
         ValueError
-            If the model has a delay, or another state, of its own.
+            If the model already has a delay or another model state.
         """
         candidates = [Late(self._task, nominal, delay, self._taps) for delay in self._delays.tolist()]
         log_evidence = np.zeros(len(candidates))
@@ -72,7 +74,7 @@ class Delay(Identification):
         return best
 
     def _log_evidence(self, model: Late, rollouts: Sequence[Rollout]) -> float:
-        """Of the residuals along the rollouts, in nats."""
+        """Log evidence in nats of the residuals along the rollouts."""
         data = Transitions.empty(len(self._task.states), len(self._task.inputs))
         for rollout in rollouts:
             states, sent = rollout.with_history()
@@ -84,10 +86,9 @@ class Delay(Identification):
 
 
 def _estimate(delays: Array, probabilities: Array) -> Estimate:
-    """The most probable delay, the shortest of several, and an interval with it and 90% of the mass.
+    """The most probable delay, the shortest if several tie, and an interval with it and 90% of the mass.
 
-    The interval reaches to the neighbours of what is considered: the likelihood of a model that is not exact
-    is too sure of one.
+    The interval extends to the neighbouring candidates: the likelihood of an inexact model is overconfident.
     """
     step = float(delays[-1] - delays[0]) / max(1, len(delays) - 1)
     below, value = np.cumsum(probabilities), float(delays[np.argmax(probabilities)])
@@ -97,19 +98,19 @@ def _estimate(delays: Array, probabilities: Array) -> Estimate:
 
 @final
 class Late(Nominal):
-    """A model behind motors that are late; its bias is a function of the inputs that act.
+    """A model behind delayed motors; its bias is a function of the acting inputs.
 
-    A bias of the commands could not express a delay: what the robot does depends on earlier ones. Draws have
-    the delays of other models by their probabilities, if it is `drawn_from` these.
+    A bias that depends on the commands could not express a delay, which makes the robot depend on earlier
+    commands. If `drawn_from` lists other models, draws have their delays, by their probabilities.
 
     Raises
     ------
     ValueError
-        If the model has a delay, or another state, of its own.
+        If the model already has a delay or another model state.
     """
 
     drawn_from: tuple[Sequence[Late], Array] | None = None
-    at_longest = False  # whether no longer delay was considered
+    at_longest = False  # whether it has the longest delay considered
 
     def __init__(self, task: Task, nominal: Nominal, delay: float, taps: int) -> None:
         self._task, self.delay = task, delay
@@ -119,7 +120,7 @@ class Late(Nominal):
         self._put_behind(nominal)
 
     def oddity(self) -> tuple[str, str] | None:
-        """Whether the motors may be later than any delay that was considered."""
+        """An oddity if the motors' delay may exceed all that were considered."""
         if not self.at_longest:
             return None
         return "the motors may be later than identification.longest", (
@@ -128,7 +129,7 @@ class Late(Nominal):
         )
 
     def _put_behind(self, nominal: Nominal) -> None:
-        """Let the motors drive this model."""
+        """Put this model behind the motors."""
         if nominal.state_size:
             raise ValueError("identification=delay: the nominal model has lag and delay of its own")
         self._nominal, self.parameters = nominal, nominal.parameters
@@ -140,20 +141,20 @@ class Late(Nominal):
         return self._nominal.step(x, u)
 
     def advance(self, x: Array, u: Array, model_state: Array) -> tuple[Array, Array]:
-        """x_next (..., n), and the inputs (..., s) that later frames need."""
+        """x_next (..., n), and the earlier inputs (..., s) that later frames need."""
         acting, kept = self._actuators.acting(u, model_state)
         return self._nominal.step(x, acting), kept
 
     def model_states(self, states: Array, inputs: Array) -> Array:
-        """Inputs (k, s) before each frame of a record."""
+        """Earlier inputs (k, s) before each frame of a record."""
         return self._actuators.model_states(inputs)
 
     def with_parameters(self, values: Array) -> Late:
-        """The model with other values (k,) of its parameters, as late as it is."""
+        """The model with other values (k,) of its parameters and the same delay."""
         return self._driving(self._nominal.with_parameters(values))
 
     def draw(self, rng: np.random.Generator) -> Late:
-        """A draw of the model behind the motors, and of their delay if that is drawn."""
+        """A draw of the model behind the motors and, if `drawn_from` is given, of their delay."""
         motors = self
         if self.drawn_from:
             models, probabilities = self.drawn_from
@@ -162,15 +163,15 @@ class Late(Nominal):
 
     @property
     def slack(self) -> Array:
-        """That of the model behind the motors."""
+        """The slack of the model behind the motors."""
         return self._nominal.slack
 
     def without_dry_friction(self) -> Late:
-        """The model without friction, as late as it is."""
+        """The model without dry friction, with the same delay."""
         return self._driving(self._nominal.without_dry_friction())
 
     def _driving(self, nominal: Nominal) -> Late:
-        """The same motors before another model."""
+        """The same motors in front of another model."""
         other = copy(self)
         other._put_behind(nominal)
         return other

@@ -10,8 +10,8 @@ import numpy as np
 from simbias.core.records import Array
 from simbias.learning.identification.identified import Identified
 
-OPEN = 0.5  # prior standard deviations that a direction keeps, from which on it is not determined
-SHOWN = 0.3  # least weight of a parameter that is told
+OPEN = 0.5  # a direction is not determined if it keeps at least this share of its prior deviation
+SHOWN = 0.3  # least weight of a reported parameter
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,7 +20,7 @@ class Direction:
 
     deviation: float  # of the posterior along it, in standard deviations of the prior
     vector: Array  # (p,) of unit length, in the coordinates
-    weights: Mapping[str, float]  # those of parameters that matter
+    weights: Mapping[str, float]  # weights of the parameters that matter
 
     def __str__(self) -> str:
         if len(self.weights) == 1:
@@ -30,9 +30,9 @@ class Direction:
 
 
 def undetermined(fitted: Identified) -> list[Direction]:
-    """Orthogonal directions along which the posterior keeps half of the prior's deviation, widest first.
+    """Orthogonal directions along which the posterior keeps half of the prior deviation, widest first.
 
-    What each recording has of its own does not count.
+    Parameters specific to each recording do not count.
     """
     shared = np.array([not parameter.of_recording for parameter in fitted.parameters], bool)
     variances, vectors = np.linalg.eigh(fitted.covariance * np.outer(shared, shared))

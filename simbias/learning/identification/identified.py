@@ -1,4 +1,4 @@
-"""The identified parameters of a nominal model, and the prior knowledge of them."""
+"""The identified parameters of a nominal model, and a known posterior as their prior."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ class Known:
     parameters: list[str]  # their names, in the model's order
     mode: list[Coordinate]  # (p,)
     spread: list[list[Coordinate]]  # (p, p) a square root of the covariance
-    declared: list[str] | None = None  # (p,) the priors that coordinates are of, in words; None: not told
-    model: str | None = None  # digest of the nominal model that it is of (`simbias.trial.origin`); None: any
+    declared: list[str] | None = None  # (p,) the priors of the coordinates, in words; None: unknown
+    model: str | None = None  # digest of its nominal model (`simbias.trial.origin`); None: any
 
 
 @final
@@ -50,9 +50,9 @@ class Identified(Nominal):
         self.parameters = prior.parameters
         self.state_size, self.acting = self.model.state_size, self.model.acting
         self.diagnostics = diagnostics
-        self.recordings: tuple[Identified, ...] = ()  # the model of each, if there are several that differ
-        self.errors = errors  # of predictions over windows, at the mode
-        self.spread = spread  # (p, p or more) square root of the covariance
+        self.recordings: tuple[Identified, ...] = ()  # the models of the recordings, if these differ
+        self.errors = errors  # of window predictions, at the mode
+        self.spread = spread  # (p, p or more), square root of the covariance
         self.covariance = spread @ spread.T  # (p, p) of the coordinates
         deviations = QUANTILE * np.sqrt(np.diag(self.covariance))
         self.estimates = tuple(
@@ -62,7 +62,7 @@ class Identified(Nominal):
 
     @property
     def mean_deviation(self) -> float:
-        """Standard deviation of the coordinates, in the geometric mean over directions."""
+        """Standard deviation of the coordinates: the geometric mean over directions."""
         return float(np.exp(np.linalg.slogdet(self.covariance)[1] / (2 * len(self.mode))))
 
     def step(self, x: Array, u: Array) -> Array:
@@ -74,7 +74,7 @@ class Identified(Nominal):
         return self.model.advance(x, u, model_state)
 
     def model_states(self, states: Array, inputs: Array) -> Array:
-        """Memory (k, s) in each frame of a record, from its start on."""
+        """Model states (k, s) in each frame of a record."""
         return self.model.model_states(states, inputs)
 
     def with_parameters(self, values: Array) -> Nominal:
@@ -83,11 +83,11 @@ class Identified(Nominal):
 
     @property
     def slack(self) -> Array:
-        """That of the most probable model."""
+        """The slack of the most probable model."""
         return self.model.slack
 
     def without_dry_friction(self) -> Nominal:
-        """The most probable model without it."""
+        """The most probable model without dry friction."""
         return self.model.without_dry_friction()
 
     def narrowed(self, scale: float) -> Identified:
@@ -98,10 +98,10 @@ class Identified(Nominal):
     def of_recordings(
         prior: Nominal, z: Array, spread: Array, places: Indices, errors: ErrorDistribution
     ) -> Identified:
-        """The posterior of coordinates z (P,), at places (r, p) those of r pieces of recordings.
+        """The posterior of coordinates z (P,); `places` (r, p) index those of r pieces of recordings.
 
-        Pieces of one recording share theirs. Where recordings have something of their own, and there are
-        several, it is the model of yet others.
+        Pieces of one recording share their coordinates. If several recordings have specific parameters, the
+        result is the model for further recordings.
         """
         each = tuple(Identified(prior, z[at], spread[at], {}, errors) for at in np.unique(places, axis=0))
         if len(z) == places.shape[1]:
@@ -111,16 +111,16 @@ class Identified(Nominal):
         return fitted
 
     def of_recording(self, index: int) -> Identified:
-        """The model of a recording that it was identified from, with what is that one's own."""
+        """The model of one of its recordings, with that recording's specific parameters."""
         return self.recordings[index] if self.recordings else self
 
     def elsewhere(self) -> Identified:
-        """The model of other recordings: of what each has its own, the prior alone is known."""
+        """The model for other recordings, whose specific parameters are known only by their prior."""
         own = np.array([parameter.of_recording for parameter in self.parameters], bool)
         if not own.any():
             return self
         shared, spread = np.flatnonzero(~own), np.diag(own.astype(float))
-        # What this recording's values told of the others stays; their own spread is the prior's.
+        # The shared parameters keep their posterior spread; specific ones have that of the prior.
         spread[np.ix_(shared, shared)] = qr(self.spread[shared].T, mode="economic")[1].T
         return Identified(self._prior, np.where(own, 0.0, self.mode), spread, self.diagnostics, self.errors)
 
@@ -144,28 +144,28 @@ class Identified(Nominal):
         return self._drawn(rng)[1]
 
     def draw_coordinates(self, rng: np.random.Generator) -> Array:
-        """The coordinates (p,) of such a model."""
+        """The coordinates (p,) of a model drawn from the posterior."""
         return self._drawn(rng)[0]
 
     def _drawn(self, rng: np.random.Generator) -> tuple[Array, Nominal]:
-        """Coordinates (p,) and the model at them."""
+        """Coordinates (p,) drawn from the posterior, and the model at them."""
         return drawn(lambda: self.mode + self.spread @ rng.standard_normal(self.spread.shape[1]), self.at)
 
     @staticmethod
     def of_prior(prior: Nominal) -> Identified:
-        """The model as far as it is known before any recording."""
+        """The model with its prior as posterior, before any recording."""
         p = len(prior.parameters)
         return Identified(prior, np.zeros(p), np.eye(p), {})
 
 
 @final
 class KnownPrior(Nominal):
-    """A model with a known posterior for its prior: its parameters are independent standard normal numbers.
+    """A model whose prior is a known posterior; its parameters are independent standard normal numbers.
 
     Raises
     ------
     ConfigError
-        If the posterior is of other parameters than the model has, of other declared values, or incomplete.
+        If the posterior belongs to other parameters or other declared values, or is incomplete.
     """
 
     def __init__(self, nominal: Nominal, known: Known) -> None:
@@ -199,7 +199,7 @@ class KnownPrior(Nominal):
         return self._nominal.with_parameters(values_at(self._nominal.parameters, self._coordinates(values)))
 
     def posterior(self, fitted: Identified | None) -> Identified:
-        """The posterior of the model, from the earlier one alone or, with a fit, from experiments too."""
+        """The posterior of the model: the earlier one or, with a fit, that given experiments too."""
         if fitted is None:
             return Identified(self._nominal, self._mode, self._spread, {})
         mode, spread = self._coordinates(fitted.mode), self._spread @ fitted.spread
@@ -212,5 +212,5 @@ class KnownPrior(Nominal):
 
 
 def _declared(parameter: Parameter) -> str:
-    """A parameter's prior in words, which tell it from any other."""
+    """A parameter's prior as a distinctive text."""
     return f"{parameter.value:.6g} {parameter.unit} ({parameter.prior} of spread {parameter.spread:.6g})"

@@ -1,4 +1,4 @@
-"""The nominal model as it was declared."""
+"""No identification: the nominal model as declared."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from simbias.core.records import Rollout
 
 
 class NoIdentification(Identification):
-    """Nothing is learned of the parameters."""
+    """Keeps the declared parameters."""
 
     def fit(self, nominal: Nominal, rollouts: Sequence[Rollout]) -> Nominal:
         """The nominal model itself."""

@@ -1,4 +1,4 @@
-"""Parameters that a robot may have, next to identified ones that none has."""
+"""The physically possible parameters nearest to impossible identified ones."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from simbias.core import Nominal
 from simbias.core.parameters import values_at
 from simbias.core.records import Array
 
-MARGIN = 0.01  # slack that is left
+MARGIN = 0.01  # remaining slack
 STEP = 1e-4  # of finite differences
-ROUNDS = 20  # of Newton's method; one suffices where conditions are linear in the coordinates
-TURNS = 10  # rounds after which conditions that break each other in turns are met together
+ROUNDS = 20  # of Newton's method; one suffices if constraints are linear in the coordinates
+TURNS = 10  # rounds after which constraints that break each other in turn are met together
 
 
 def nearest_possible(nominal: Nominal, z: Array, spread: Array) -> Array:
-    """The coordinates (P,) nearest to z, in terms of the posterior's covariance, that break no condition.
+    """The coordinates (P,) nearest to z, in the metric of the posterior covariance, that break no constraint.
 
     Those of the model's p parameters come first; `spread` (P, q) is a square root of the covariance.
     """
@@ -35,5 +35,5 @@ def nearest_possible(nominal: Nominal, z: Array, spread: Array) -> Array:
         slopes = np.zeros((len(broken), len(z)))
         slopes[:, :p] = (shifted - short[broken]).T / STEP
         towards = covariance @ slopes.T
-        z = z - towards @ np.linalg.pinv(slopes @ towards) @ short[broken]  # what is certain stays
+        z = z - towards @ np.linalg.pinv(slopes @ towards) @ short[broken]  # certain directions stay
     return z

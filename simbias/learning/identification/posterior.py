@@ -1,4 +1,4 @@
-"""Posterior of the nominal model's parameters given experiments: the mode and a normal around it."""
+"""Posterior of the nominal model's parameters given experiments: a normal around the mode."""
 
 from __future__ import annotations
 
@@ -22,29 +22,30 @@ from simbias.learning.prediction_errors import FREEDOM, ErrorDistribution
 from simbias.simulation.noise import QUIET, Noise, Variances
 from simbias.simulation.open_loop import Windows
 
-ROBUST_FREEDOM = 0.1  # nu / d of the first rounds, in which outliers have next to no weight
-WIDEST = 2.0  # deviations of the prior by which errors scatter the mode, beyond which they tell nothing
-AS_DECLARED = -5.0  # coordinate at which a half-normal parameter is what is declared, to 1e-7 of its spread
-SMOOTHING = 0.05  # s, at least, of recordings; in trials it is as declared
+ROBUST_FREEDOM = 0.1  # nu / d in the first rounds, in which outliers have almost no weight
+WIDEST = 2.0  # prior deviations: a direction in which errors scatter the mode more is uninformed
+AS_DECLARED = -5.0  # coordinate at which a half-normal parameter is as declared, to 1e-7 of its spread
+SMOOTHING = 0.05  # s, the minimum for recordings; in trials it is as declared
 TOLERANCE = 0.05  # of the mode's convergence, in standard deviations of the posterior
 
 
 class Posterior(Identification):
-    """Maximum a posteriori estimate from predictions over windows of recorded experiments.
+    """Maximum a posteriori estimate from window predictions of recorded experiments.
 
     In the coordinates of the parameters' priors, the mode minimises
 
         |z|^2 + independent_share * sum over windows of (nu + d) ln(1 + |whitened errors|^2 / nu).
 
-    The d errors of a window are whitened by their covariance over all windows, estimated in turn with the
-    mode (`simbias.learning.prediction_errors`), so sensor noise, process noise and model errors need not be
-    told apart. `independent_share` discounts windows whose errors correlate with those of the window before.
+    The d errors of a window are whitened by their covariance over all windows, which is estimated alternately
+    with the mode (`simbias.learning.prediction_errors`). Sensor noise, process noise and model errors
+    therefore need not be distinguished. `independent_share` discounts windows whose errors correlate with
+    those of the previous window.
 
-    Where no robot has the mode's parameters, the nearest that one may have take their place, and draws that
-    none has are drawn again (`Nominal.slack`).
+    If the mode's parameters are physically impossible, the nearest possible ones replace them; impossible
+    draws are redrawn (`Nominal.slack`).
 
-    The posterior is normal around the mode, with the covariance by which such errors scatter the mode. With
-    few windows, the covariance that measurement noise gives to errors is computed from the linearised model
+    The posterior is normal around the mode, with the covariance of the mode under such errors. With few
+    windows, the covariance of errors due to measurement noise is computed from the linearised model
     (`simbias.learning.measurement_noise`).
 
     Parameters
@@ -54,43 +55,45 @@ class Posterior(Identification):
     chunks
         Number of parts of a window whose means are compared.
     starts
-        Number of draws from the prior, its median the first; the search begins at the likeliest. With central
-        differences the declared values are one more, which are at the end of a half-normal prior.
+        Number of draws from the prior, the first of them its median; the search begins at the likeliest. With
+        central differences, the declared values, which are at the end of a half-normal prior, are one more
+        start.
     rounds
-        Largest number of rounds in which covariance and mode are estimated in turn, once with nearly no
-        weight for outliers, and once more with the t distribution of the errors.
+        Maximum number of rounds that alternate between estimating covariance and mode, first with almost no
+        weight for outliers, then again with the t distribution of the errors.
     evaluations
-        Largest number of steps of the search for the mode in a round.
+        Maximum number of steps of the search for the mode in each round.
     known
-        An earlier posterior, as of recordings, in place of the declared prior.
+        An earlier posterior, for example from recordings, instead of the declared prior.
     motors, sensors
-        How uncertain those of inputs and states are, by name (`simbias.learning.identification.rig`).
+        The uncertainty of the motors of inputs and the sensors of states, by name
+        (`simbias.learning.identification.rig`).
     each
-        Names of the model's parameters of which each recording has its own, as a load that is put on; the
-        others are shared.
+        Names of the model's parameters that differ between recordings, such as a payload; the others are
+        shared.
     noise
-        Variances of what is measured, by the names and kinds of states. Prediction errors are never taken to
-        be smaller. Without it, a model that is exact in the air makes outliers of all collisions. With it, or
-        by central differences, the posterior is nowhere far wider than the prior: where the data tell nothing
-        of a direction, its deviation is the prior's.
+        Measurement noise variances, by the names and kinds of states; a lower bound on prediction errors.
+        Without it, a model that is exact in flight makes all collisions outliers. With it, or with central
+        differences, the posterior is nowhere far wider than the prior: where the data do not inform a
+        direction, its deviation is the prior's.
     longer_windows
-        Further durations in s of predictions, as what differs little in a short while may differ much in a
-        long one. Each window counts alike; durations that no experiment has do not count.
+        Further durations in s of predictions, since small short-term differences may grow large in the long
+        term. Every window counts equally; durations longer than all experiments are ignored.
     smoothing
-        Each prediction of measured states begins at a smoothed one, from those at most so many s before and
-        after (`simbias.learning.noise.smoothed`). Without it, noise of velocities is mistaken for damping
-        where friction is dry. `identify`, `excite` and `--recover` take 0.05 s at least. 0, of published
-        trials: predictions begin at states as they were measured.
+        Each prediction of measured states begins at a state smoothed over at most this many s before and
+        after (`simbias.learning.noise.smoothed`). Without smoothing, noise in velocities makes dry friction
+        look like damping. `identify`, `excite` and `--recover` use at least 0.05 s. 0, as in the published
+        trials: predictions begin at the measured states.
     differences
-        That the covariance is computed from. Under strong motion only central ones tell what experiments do
-        not determine; `identify`, `excite` and `--recover` always take these. Forward ones are quicker, may
-        make the posterior far wider than the prior, and are those of published trials.
+        Finite differences for the covariance. Under strong motion, only central ones reveal what experiments
+        do not determine; `identify`, `excite` and `--recover` always use these. Forward ones, as in the
+        published trials, are faster, but may make the posterior far wider than the prior.
 
     Raises
     ------
     ValueError
-        If the task has no such motor or sensor; in `fit`, if the model has no such parameter, or `known` is
-        not of its parameters.
+        If the task has no such motor or sensor; in `fit`, if the model has no such parameter, or `known` has
+        other parameters.
     """
 
     def __init__(
@@ -124,7 +127,7 @@ class Posterior(Identification):
         self._noise = np.sqrt(Noise(task, noise).sensor_variance[: len(task.without_targets.states)])
 
     def _set_window(self, window: float) -> None:
-        """Round its duration in s to a whole number of chunks."""
+        """Set the duration of a prediction in s, rounded to a whole number of chunks."""
         frames = window / self._task.time_step
         self._chunk = max(1, round(frames / self._chunks))
         self._window = max(1, round(frames / self._chunk)) * self._chunk
@@ -135,14 +138,14 @@ class Posterior(Identification):
         return self._window * self._task.time_step
 
     def with_window(self, window: float) -> Posterior:
-        """A copy whose predictions last `window` s, longer ones in proportion."""
+        """A copy whose predictions last `window` s; longer windows are scaled in proportion."""
         other = copy(self)
         other._set_window(window)
         other._longer = [each * window / self.window for each in self._longer]
         return other
 
     def of_recordings(self) -> Posterior:
-        """A copy with central differences, whose predictions begin at smoothed states."""
+        """A copy for recordings: with central differences, and predictions that begin at smoothed states."""
         other = copy(self)
         options = options_of_recordings({"smoothing": self._smoothing})
         other._smoothing, other._differences = options["smoothing"], options["differences"]
@@ -160,7 +163,7 @@ class Posterior(Identification):
         return other
 
     def windows(self, rollouts: Sequence[Rollout], recordings: Sequence[str] = ()) -> Windows:
-        """Experiments, cut as predictions are compared with them."""
+        """Experiments, cut into windows for comparison with predictions."""
         windows = self.cut(rollouts)
         if frames := round(self._smoothing / self._task.time_step):
             made = zip(rollouts, smoothed(rollouts, frames), strict=True)
@@ -172,15 +175,15 @@ class Posterior(Identification):
         return replace(windows, recordings=np.array([order.index(each) for each in recordings]))
 
     def cut(self, rollouts: Sequence[Rollout]) -> Windows:
-        """Windows of the declared duration, whose predictions begin at states as they are."""
+        """Windows of the declared duration; their predictions begin at states as recorded."""
         return Windows.of(rollouts, self._window, self._chunk, self._noise)
 
     def fit(self, nominal: Nominal, rollouts: Sequence[Rollout], recordings: Sequence[str] = ()) -> Nominal:
-        """The model at the mode, which draws from the posterior.
+        """The model at the mode, whose draws come from the posterior.
 
-        Without a whole window it is the model itself, whose motors and sensors are uncertain as declared, or
-        the one that is known. Rollouts that are pieces of a recording share what that has of its own;
-        `recordings` are names of these, by default each rollout is one.
+        Without a whole window, the result is the model itself with motors and sensors as uncertain as
+        declared, or the known model. Rollouts that are pieces of one recording share its specific parameters;
+        `recordings` names the recording of each, by default one per rollout.
         """
         if self._known is None:
             return self._fit(self.prior(nominal), rollouts, recordings)
@@ -189,7 +192,7 @@ class Posterior(Identification):
         return prior.posterior(fitted if isinstance(fitted, Identified) else None)
 
     def prior(self, nominal: Nominal) -> Nominal:
-        """The nominal model, with the parameters of motors and sensors if any are uncertain."""
+        """The nominal model, with the parameters of uncertain motors and sensors."""
         if not self._motors and not self._sensors and not self._each:
             return nominal
         return Rig(self._task, nominal, self._motors, self._sensors, self._each)
@@ -238,13 +241,13 @@ class Posterior(Identification):
 
 
 def options_of_recordings(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Options of a posterior with those that recordings are learned from with."""
+    """Options of a posterior, changed as required for learning from recordings."""
     smoothing = max(options.get("smoothing", 0.0), SMOOTHING)
     return {**options, "smoothing": smoothing, "differences": "central"}
 
 
 def _no_wider(spread: Array) -> Array:
-    """A square root (p, p) of the covariance, that of the prior in directions in which it is far wider."""
+    """A square root (p, p) of the covariance, replaced by the prior's in directions that are far wider."""
     directions, deviations, _ = np.linalg.svd(spread)
     if deviations.max() <= WIDEST:
         return spread

@@ -1,4 +1,4 @@
-"""The mode and the spread of parameters, with the distribution of prediction errors given."""
+"""The mode and the spread of parameters, for a given distribution of prediction errors."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from simbias.simulation.open_loop import PredictionModel, Windows, predict
 
 Differences = Literal["forward", "central"]
 
-STEP = 1e-4  # of finite differences: of a coordinate, or of the standard deviation of a state
+STEP = 1e-4  # of finite differences: in a coordinate, or relative to the standard deviation of a state
 LEAST_DEVIATION = 1e-9  # added to the standard deviation of a state
-SPREAD_ROUNDS = 2  # of estimating the errors' covariance, with the part that fitted parameters removed
+SPREAD_ROUNDS = 2  # for estimating the errors' covariance, including the part removed by fitting
 
 
 def coordinates_of(parameters: Sequence[Parameter], recordings: Indices) -> Indices:
-    """Places (r, parameters) of coordinates of r experiments, each a piece of one of the recordings (r,).
+    """Indices (r, parameters) of the coordinates of r experiments, each a piece of one recording (r,).
 
-    Those of the first recording come first, then what each other one has of its own.
+    The first recording's coordinates come first, then the specific ones of each other recording.
     """
     p, own = len(parameters), np.flatnonzero([parameter.of_recording for parameter in parameters])
     places = np.tile(np.arange(p), (len(recordings), 1))
@@ -39,12 +39,12 @@ def coordinates_of(parameters: Sequence[Parameter], recordings: Indices) -> Indi
 
 
 class WindowErrors:
-    """Predictions over windows of one duration against what was recorded, with the errors' covariance given.
+    """Errors of predictions over recorded windows of one duration, for a given error covariance.
 
-    Coordinates z (p,) are those of the first recording, then of what each other one has of its own.
+    Coordinates z (p,) are the first recording's, then the specific ones of each other recording.
     """
 
-    errors: ErrorDistribution  # which `at` estimates
+    errors: ErrorDistribution  # estimated by `at`
 
     def __init__(self, nominal: Nominal, windows: Windows, predict: Callable[..., Array] = predict) -> None:
         self._nominal = nominal
@@ -62,13 +62,13 @@ class WindowErrors:
 
     @staticmethod
     def at(nominal: Nominal, windows: Windows, z: Array, freedom: float) -> WindowErrors:
-        """The comparison with the errors' covariance estimated at coordinates z (p,)."""
+        """The window errors with their covariance estimated at coordinates z (p,)."""
         made = WindowErrors(nominal, windows)
         made.errors = ErrorDistribution.of(made.prediction_errors(z[None])[0], windows, freedom)
         return made
 
     def residuals(self, z: Array, differences: Differences = "forward") -> tuple[Array, Array]:
-        """Residuals (w d,), whose squares sum to the loss, and their derivatives by z, (w d, p)."""
+        """Residuals (w d,), whose squares sum to the loss, and their Jacobian (w d, p) with respect to z."""
         white, J, weights = self._weighted(z, differences)
         losses = self.errors.independent_share * self.errors.losses(white)
         size = np.sum(white**2, axis=1)
@@ -78,13 +78,13 @@ class WindowErrors:
         return (scale[:, None] * white).ravel(), (slope[:, None] * J).reshape(len(z), -1).T
 
     def _weighted(self, z: Array, differences: Differences) -> tuple[Array, Array, Array]:
-        """White errors (w, d), their derivatives by z (p, w, d), and the weights (w,) of windows."""
+        """White errors (w, d), derivatives with respect to z (p, w, d), and weights (w,) of windows."""
         white = self.errors.whiten(self.prediction_errors(_around(z, differences)))
         weights = self.errors.independent_share * self.errors.weights(white[0])
         return white[0], _slopes(white, len(z)), weights
 
     def scatter(self, z: Array, differences: Differences) -> Callable[[Array], Array]:
-        """By a root (p, p) of the covariance of z: one (p, w d) of that which errors give to the gradient."""
+        """A function: from a root (p, p) of the covariance of z to one (p, w d) of the gradient's."""
         p, windows, around = len(z), self._windows, _around(z, differences)
         steps = STEP * (np.std(windows.states, axis=0) + LEAST_DEVIATION)
         n = len(steps)
@@ -108,14 +108,14 @@ class WindowErrors:
         return across
 
     def coordinates(self, fitted: Identified) -> Array:
-        """Coordinates (p,) of an identified model, and of what each recording has of its own."""
+        """Coordinates (p,) of an identified model, including those specific to each recording."""
         z = np.empty(self.size)
         for place, recording in zip(self.places, self._recordings.tolist(), strict=True):
             z[place] = fitted.of_recording(recording).mode
         return z
 
     def shift(self, z: Array, difference: Array) -> Array:
-        """How far (p,) the mode z moves, to first order, if predictions differ by so much (w, J, n)."""
+        """How far (p,) the mode z moves, to first order, if predictions change by `difference` (w, J, n)."""
         _, J, weights = self._weighted(z, "central")
         weighted = (weights[:, None] * J).reshape(len(z), -1)
         precision = weighted @ J.reshape(len(z), -1).T + np.eye(len(z))
@@ -127,8 +127,8 @@ class WindowErrors:
         return self._predictions(z, no_offsets) - self._observed
 
     def _predictions(self, z: Array, offsets: Array) -> Array:
-        """Means (k, w, J, n) over chunks at coordinates z (k, p), from starts that are off by (k, n)."""
-        if self.size == self.places.shape[1]:  # no recording has anything of its own, or there is one alone
+        """Means (k, w, J, n) over chunks at coordinates z (k, p), from starts offset by (k, n)."""
+        if self.size == self.places.shape[1]:  # no recording-specific parameters, or only one recording
             return self._predict(self._models(z, offsets), self._windows)
         windows = self._windows
         of_each = [
@@ -142,16 +142,16 @@ class WindowErrors:
         return np.concatenate(made, axis=1)
 
     def _models(self, z: Array, offsets: Array) -> list[PredictionModel]:
-        """Models at coordinates (k, parameters), from starts that are off by (k, n)."""
+        """Models at coordinates (k, parameters), from starts offset by (k, n)."""
         values = values_at(self._nominal.parameters, z)
         pairs = zip(values, offsets, strict=True)
         return [PredictionModel(self._nominal.with_parameters(v), off) for v, off in pairs]
 
 
 class Information:
-    """Fisher information about coordinates z (p,) that windows would hold if z were the truth.
+    """Fisher information about coordinates z (p,) in windows, if z were the truth.
 
-    The models around z are made once: to compile a model takes longer than to predict windows.
+    The models around z are made once: compiling a model takes longer than predicting windows.
     """
 
     def __init__(self, nominal: Nominal, z: Array) -> None:
@@ -159,7 +159,7 @@ class Information:
         self._models = [PredictionModel(nominal.with_parameters(each)) for each in values]
 
     def of(self, windows: Windows, errors: ErrorDistribution) -> Array:
-        """That (p, p) of windows, with the errors' covariance given."""
+        """The information (p, p) in windows, for a given error covariance."""
         white = errors.whiten(predict(self._models, windows) - windows.means)
         p = len(self._models) // 2
         J = _slopes(white, p).reshape(p, -1)
@@ -169,9 +169,9 @@ class Information:
 class Problem:
     """Nonlinear least squares for the mode.
 
-    Windows of several durations are of the same data, so their log-likelihoods are averaged, each weighted by
-    its number of windows (a composite likelihood: C. Varin, N. Reid, D. Firth, Statistica Sinica 21, 2011).
-    The covariances of errors are estimated at coordinates z (p,).
+    Windows of several durations share the same data, so their log-likelihoods are averaged, weighted by the
+    number of windows (a composite likelihood: C. Varin, N. Reid, D. Firth, Statistica Sinica 21, 2011). The
+    covariances of errors are estimated at coordinates z (p,).
     """
 
     def __init__(self, nominal: Nominal, windows: Sequence[Windows], z: Array, freedom: float) -> None:
@@ -187,16 +187,16 @@ class Problem:
         return least_squares(residuals, z, derivatives, ftol=1e-5, xtol=1e-4, max_nfev=evaluations).x
 
     def precision(self, z: Array) -> Array:
-        """Curvature (p, p) of the negative logarithm of the density at z."""
+        """Curvature (p, p) of the negative log-density at z."""
         J = self._at(z)[1]
         return J.T @ J
 
     def spread(self, z: Array, differences: Differences = "forward") -> Array:
         """A square root (p, p) of the covariance of the mode z: H^-1 (I + G) H^-1, with the precision H.
 
-        G is the covariance of the log-density's gradient under the errors' estimated covariance; H has the
-        one that weights the errors (V. P. Godambe, Annals of Mathematical Statistics 31, 1960). Of several
-        durations, G is the mean, which that of their mean does not exceed.
+        G is the covariance of the log-density's gradient under the estimated error covariance; H uses the
+        covariance that weights the errors (V. P. Godambe, Annals of Mathematical Statistics 31, 1960). For
+        several durations, G is the mean, an upper bound on the covariance of the mean gradient.
         """
         p = len(z)
         spread = solve_triangular(qr(self._at(z, differences)[1], mode="economic")[1], np.eye(p))
@@ -208,7 +208,7 @@ class Problem:
         return spread
 
     def _at(self, z: Array, differences: Differences = "forward") -> tuple[Array, Array]:
-        """Residuals (R + p,), the prior's last, and their derivatives by z (p,)."""
+        """Residuals (R + p,), the prior's last, and their derivatives with respect to z (p,)."""
         key = z.tobytes(), differences
         if self._last is None or self._last[0] != key:
             made = [each.residuals(z, differences) for each in self._comparisons]
@@ -220,12 +220,12 @@ class Problem:
 
 
 def _around(z: Array, differences: Differences) -> Array:
-    """Coordinates (k, p): z, a step from it along each and, for central differences, one back."""
+    """Coordinates (k, p): z, a step along each coordinate and, for central differences, one back."""
     steps = np.eye(len(z) + 1, len(z), -1)
     return z + STEP * (steps if differences == "forward" else np.vstack([steps, -steps[1:]]))
 
 
 def _slopes(values: Array, p: int) -> Array:
-    """Derivatives (p, ...) of values (k, ...) at coordinates `_around` others."""
+    """Derivatives (p, ...) from values (k, ...) at the coordinates of `_around`."""
     ahead, back = values[1 : p + 1], values[p + 1 :]
     return (ahead - back) / (2 * STEP) if len(back) else (ahead - values[0]) / STEP

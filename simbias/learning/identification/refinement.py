@@ -1,4 +1,4 @@
-"""How far identified parameters would move if their model were integrated in shorter steps."""
+"""How far identified parameters would move if the model were integrated with shorter steps."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from simbias.learning.identification.posterior import Posterior
 from simbias.learning.identification.problem import WindowErrors
 from simbias.simulation.open_loop import plain
 
-STEPS = (10, 16), (40, 64), (160, 256)  # of a frame; the model's own may be as short as the first ones
-AGREE = 0.5  # of what two change: where these differ more, shorter ones are tried
-SAME_RATE = 0.3  # of the rates in two short frames: where these differ more, the model has steps of its own
+STEPS = (10, 16), (40, 64), (160, 256)  # per frame; the model's own steps may be as short as the first ones
+AGREE = 0.5  # of the change: if the changes of a pair differ more, shorter steps are tried
+SAME_RATE = 0.3  # of the rates in two short frames: if they differ more, the model has its own substeps
 
 
 @final
 class Refined(Nominal):
-    """A model whose frames are each several of another model's, which are shorter."""
+    """A model whose frames each consist of several shorter frames of another model."""
 
     def __init__(self, model: Nominal, frames: int) -> None:
         self._model, self._frames = model, frames
         self.parameters = model.parameters
 
     def step(self, x: Array, u: Array) -> Array:
-        """x_next (..., n), so many short frames after x (..., n) under u (..., m)."""
+        """x_next (..., n), all short frames of one frame after x (..., n) under u (..., m)."""
         for _ in range(self._frames):
             x = self._model.step(x, u)
         return x
@@ -39,11 +39,11 @@ class Refined(Nominal):
         return Refined(self._model.with_parameters(values), self._frames)
 
     def without_input_limits(self) -> Refined:
-        """That of the model, in as many frames."""
+        """The refined model without input limits."""
         return Refined(self._model.without_input_limits(), self._frames)
 
     def rate(self, x: Array, u: Array) -> Array:
-        """How far (..., n) a frame would lead if all of it were like its first short one."""
+        """The change (..., n) over a frame at the rate of its first short frame."""
         return self._frames * (self._model.step(x, u) - x)
 
 
@@ -58,10 +58,10 @@ def moved_by_shorter_steps(
 ) -> Array | None:
     """How far (p,) the mode would move, in its standard deviations, to first order.
 
-    None of a model that cannot be made for shorter frames, or that remembers its last ones, or has steps of
-    its own, of which frames are no whole number; and where an earlier posterior is known.
+    None if the model cannot be built for shorter frames, has a model state, or has its own substeps that do
+    not divide a frame; and if the prior is an earlier posterior.
     """
-    # The precision of an earlier posterior is not at hand.
+    # The precision of an earlier posterior is not available.
     if nominal.state_size or fitted.errors is None or posterior.begins_with_known:
         return None
     windows = posterior.windows(rollouts, recordings)
@@ -72,15 +72,15 @@ def moved_by_shorter_steps(
     for pair in STEPS:
         try:
             refined = [_refined(nominal_of, task, steps) for steps in pair]
-        except Exception:  # an own model may refuse
+        except Exception:  # a custom model may refuse
             return None
         if refined[0].parameters != nominal.parameters:
             return None
-        # In NumPy: they predict once, and to compile them would take longer.
+        # In NumPy: they predict only once, and compiling would take longer.
         fine = [WindowErrors(posterior.prior(each), windows, plain) for each in refined]
         shorter, shortest = (each.prediction_errors(z[None])[0] - errors for each in fine)
         if _differ(shorter, shortest) <= AGREE:
-            # As of a first-order integrator.
+            # Extrapolation for a first-order integrator.
             limit = shortest + (shortest - shorter) / (pair[1] / pair[0] - 1)
             moved = np.abs(coarse.shift(z, limit)[: len(fitted.parameters)])
             return np.asarray(moved / np.sqrt(np.diag(fitted.covariance)))
@@ -90,12 +90,12 @@ def moved_by_shorter_steps(
 
 
 def _differ(one: Array, other: Array) -> float:
-    """Their distance over the size of the other."""
+    """The distance of two arrays relative to the size of the second."""
     return float(np.linalg.norm(other - one) / max(np.linalg.norm(other), np.finfo(float).tiny))
 
 
 def _refined(nominal_of: Callable[[Task], Nominal], task: Task, steps: int) -> Refined:
-    """The model in so many steps of a frame."""
+    """The model with this many steps per frame."""
     shorter = copy(task)
     shorter.time_step = task.time_step / steps
     return Refined(nominal_of(shorter), steps)

@@ -1,11 +1,11 @@
-"""Motors and sensors between a robot's mechanics and its record, which are not quite as declared.
+"""Motors and sensors between a robot's mechanics and its record, with uncertain parameters.
 
     y = offset + gain x,    x' = f'(x, acting - friction),    acting = motor(u)
 
-A state x is recorded as y. A motor has gain, offset, lag and delay (`simbias.simulation.actuator`), and its
-gear friction beyond the model's: Stribeck's, which falls with the velocity, and one in proportion to the
-torque. A delay that all sensors share is the motors' delay: their record cannot be told apart. A zero, of a
-motor or a sensor, is an offset that is another one in each recording.
+A state x is recorded as y. A motor has gain, offset, lag and delay (`simbias.simulation.actuator`), and gear
+friction beyond the model's: Stribeck friction, which falls with velocity, and friction proportional to the
+torque. A delay common to all sensors counts as the motors' delay: in a record they are indistinguishable. A
+zero, of a motor or a sensor, is an offset that differs between recordings.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from simbias.core.records import Array
 from simbias.simulation.actuator import Actuator, Actuators, taps_of
 from simbias.simulation.compiler import elementwise, function_of
 
-STRIBECK = 0.2  # rad/s or m/s, at which Stribeck friction has fallen to a half
-SMOOTH = 0.02  # rad/s or m/s, within which friction changes its sign
-MOST_DELAY = 4.0  # prior deviations that a delay may have
+STRIBECK = 0.2  # rad/s or m/s, at which Stribeck friction has halved
+SMOOTH = 0.02  # rad/s or m/s, range in which friction changes its sign
+MOST_DELAY = 4.0  # upper limit of a delay, in prior deviations
 _PRIORS: dict[str, tuple[str, float, Prior]] = {  # unit, or "" for the signal's; value; distribution
     "gain": ("1", 1.0, "log_normal"),
     "offset": ("", 0.0, "normal"),
@@ -41,20 +41,20 @@ _PRIORS: dict[str, tuple[str, float, Prior]] = {  # unit, or "" for the signal's
 
 @dataclass(frozen=True)
 class Motor:
-    """The uncertainty of a motor: standard deviations, of half-normals but for gain, offset and zero."""
+    """The uncertainty of a motor: standard deviations; half-normal except gain, offset and zero."""
 
-    gain: Spread = 0.0  # of its logarithm
+    gain: Spread = 0.0  # of the gain's logarithm
     offset: NonNegative = 0.0  # in the input's unit
     lag: Lag = 0.0  # s
     delay: Lag = 0.0  # s
-    velocity: str | None = None  # the state that its friction brakes
+    velocity: str | None = None  # the velocity state that its friction acts on
     stribeck: NonNegative = 0.0  # friction at rest beyond that in motion, in the input's unit
-    load: NonNegative = 0.0  # friction over the torque
-    zero: NonNegative = 0.0  # of the offset: another one in each recording
+    load: NonNegative = 0.0  # friction relative to the torque
+    zero: NonNegative = 0.0  # of an offset that differs between recordings
 
     @property
     def may_exceed_commands(self) -> bool:
-        """Whether more may act than is commanded, also where commands are at their limits."""
+        """Whether the acting input may exceed the command, even at its limit."""
         return any((self.gain, self.offset, self.zero, self.stribeck, self.load))
 
 
@@ -62,22 +62,22 @@ class Motor:
 class Sensor:
     """The uncertainty of a sensor: standard deviations."""
 
-    gain: Spread = 0.0  # of its logarithm
+    gain: Spread = 0.0  # of the gain's logarithm
     offset: NonNegative = 0.0  # in the state's unit
-    zero: NonNegative = 0.0  # likewise, but another one whenever it is switched on: in each recording
+    zero: NonNegative = 0.0  # of an offset that differs between recordings, as after switching on
 
 
 @final
 class Rig(Nominal):
-    """A nominal model with parameters of motors and sensors behind its own: `tau1.gain`, `pos1.offset`.
+    """A nominal model with additional parameters of motors and sensors: `tau1.gain`, `pos1.offset`.
 
-    Of some of its own, as a load that is put on, each recording may have another value (`each`, by name).
+    Some of the model's own parameters, such as a payload, may differ between recordings (`each`, by name).
 
     Raises
     ------
     ValueError
-        As of `check_signals`; if motors are declared of a model that has its own, or the model has no
-        parameter of a name.
+        As for `check_signals`; also if motors are declared for a model that already has them, or the model
+        has no parameter of a given name.
     """
 
     def __init__(
@@ -108,7 +108,7 @@ class Rig(Nominal):
         self._assemble()
 
     def _assemble(self) -> None:
-        """Motors, numbers and the kernel for the values that the rig has."""
+        """Set up motors, numbers and the kernel for the rig's values."""
         v = self._values
         actuators = [
             Actuator(
@@ -123,7 +123,7 @@ class Rig(Nominal):
             Actuators(actuators, self._time_step, self._taps, averaged=True) if self._has_motors else None
         )
         self.state_size = self._actuators.state_size if self._actuators else self.mechanics.state_size
-        self.acting = self.mechanics.acting  # a model with a state has no motors here
+        self.acting = self.mechanics.acting  # a model with a model state has no motors here
         self._numbers = np.array(
             [
                 *(v.get(f"{x}.offset", 0.0) + v.get(f"{x}.zero", 0.0) for x in self._states),
@@ -153,7 +153,7 @@ class Rig(Nominal):
         return self._record(x_next), model_state
 
     def model_states(self, states: Array, inputs: Array) -> Array:
-        """Model states (k, s) in each frame of a record, from its start on."""
+        """Model states (k, s) in each frame of a record."""
         if self._actuators:
             return self._actuators.model_states(inputs)
         return self.mechanics.model_states(*self._truth(states, inputs))
@@ -169,11 +169,11 @@ class Rig(Nominal):
 
     @property
     def slack(self) -> Array:
-        """That of the mechanics."""
+        """The slack of the mechanics."""
         return self.mechanics.slack
 
     def without_dry_friction(self) -> Rig:
-        """The rig without friction of its motors, and of its mechanics."""
+        """The rig without dry friction in motors and mechanics."""
         other = copy(self)
         other.mechanics = self.mechanics.without_dry_friction()
         dry = [name for name in self._values if name.endswith((".stribeck", ".load"))]
@@ -182,7 +182,7 @@ class Rig(Nominal):
         return other
 
     def _truth(self, y: Array, acting: Array) -> tuple[Array, Array]:
-        """States (..., n) behind a record, and what acts (..., m) on the mechanics."""
+        """True states (..., n) behind a record, and the inputs (..., m) acting on the mechanics."""
         n = len(self._states)
         x = elementwise(_away(n), y, parameters=self._numbers)
         return x, elementwise(_braked(n, self._brakes), x, acting, parameters=self._numbers)
@@ -193,7 +193,7 @@ class Rig(Nominal):
 
 
 def check_signals(task: Task, motors: Mapping[str, Motor], sensors: Mapping[str, Sensor]) -> None:
-    """Refuse motors and sensors that the task does not have, or that cannot be as they are declared.
+    """Refuse motors and sensors that the task does not have, or that are declared inconsistently.
 
     Raises
     ------
@@ -233,27 +233,27 @@ def _parameters(signals: Sequence[Quantity], uncertain: Mapping[str, Motor | Sen
         for signal in signals
         if signal.name in uncertain
         for name, (unit, value, prior) in _PRIORS.items()
-        if (spread := getattr(uncertain[signal.name], name, 0.0))  # motors and sensors have some of these
+        if (spread := getattr(uncertain[signal.name], name, 0.0))  # each has some of these
     ]
 
 
 def _function(name: str, arguments: str, terms: Sequence[str]) -> Callable:
-    """The function whose result is the tuple of these terms."""
+    """A function that returns the tuple of these terms."""
     return function_of(f"def {name}({arguments}): return ({', '.join(terms)},)", name)
 
 
 def _away(n: int) -> Callable:
-    """States of a record y (n,); parameters are offsets (n,), then gains (n,)."""
+    """Kernel: states from a record y (n,); parameters are offsets (n,), then gains (n,)."""
     return _function("away", "y, p", [f"(y[{i}] - p[{i}]) / p[{n + i}]" for i in range(n)])
 
 
 def _back(n: int) -> Callable:
-    """The record of states x (n,)."""
+    """Kernel: the record from states x (n,)."""
     return _function("back", "x, p", [f"x[{i}] * p[{n + i}] + p[{i}]" for i in range(n)])
 
 
 def _braked(n: int, brakes: Sequence[int | None]) -> Callable:
-    """Code of the input (m,) that acts: u (m,) less friction at the velocities of these states."""
+    """Kernel: the acting input (m,), which is u (m,) minus friction at the velocities of these states."""
     m, terms = len(brakes), []
     for j, i in enumerate(brakes):
         if i is None:
@@ -267,7 +267,7 @@ def _braked(n: int, brakes: Sequence[int | None]) -> Callable:
 
 @lru_cache(maxsize=64)
 def _recorded(step: Callable, n: int, brakes: tuple[int | None, ...], remembers: bool) -> Callable:
-    """The kernel of what is recorded of mechanics, whose parameters stand behind the rig's."""
+    """The kernel that steps a record of the mechanics, whose parameters follow the rig's."""
     away, back, braked = _away(n), _back(n), _braked(n, brakes)
     count = 2 * n + 2 * len(brakes)
 

@@ -15,7 +15,7 @@ from simbias.core.records import Array, Flags, Indices, Rollout, Selection, Tran
 from simbias.simulation.linearization import input_scale
 
 RESIDUAL = "residual"  # criterion 7
-OTHERS = "other_failure"  # what failed by a criterion that is not the task's, as of a hardware's own
+OTHERS = "other_failure"  # failures by a criterion outside the task, such as the hardware's own
 
 
 @dataclass(frozen=True)
@@ -30,26 +30,26 @@ _WINDOWS = WindowLengths()
 
 
 class Thresholds(Samples):
-    """Every `stride`-th transition whose two states keep the limits and whose residual is no outlier.
+    """Select every `stride`-th transition whose two states keep the limits and whose residual is no outlier.
 
-    Residuals of a single frame drown in the sensors' noise. Over a few frames the bias is nearly affine, so
-    the mean of residuals is the residual at the mean state and input. The model's part of each is computed
-    with the input that acted, which jumps from frame to frame when a policy feeds noise back: a smoother of
-    the states alone would take these jumps for noise. See `line_weights` for the weights.
+    Residuals of a single frame drown in sensor noise. Over a few frames the bias is nearly affine, so the
+    mean of residuals is the residual at the mean state and input. The model's prediction in each frame uses
+    the input that acted. This jumps from frame to frame when a policy feeds back noise; smoothing the states
+    alone would mistake these jumps for noise. See `line_weights` for the weights.
 
     Parameters
     ----------
     stride
-        Between samples: frames, or a duration as `40 ms`, which is rounded to whole frames.
+        Distance between samples: frames, or a duration such as `40 ms`, rounded to whole frames.
     limits
-        Those of the task's criteria by name; a criterion that is not named keeps the task's own.
+        Limits of the task's criteria by name; a criterion not named keeps the task's limit.
     residual
-        Limit of criterion 7; None rejects no outlier.
+        Limit of criterion 7; None: reject no outliers.
     window
-        Length of a sample, for either kind of recorded states: frames, or a duration.
+        Length of a sample, for each kind of recorded states: frames, or a duration.
     selection
-        "stride", or "information": as many samples, and as many rejected, but among all that keep the limits
-        those that lie farthest from each other.
+        "stride", or "information": the same numbers of samples and rejections, but the samples farthest from
+        each other among all that keep the limits.
     """
 
     def __init__(
@@ -95,11 +95,11 @@ class Thresholds(Samples):
         return Selection(transitions, frames, len(told), rejected, self._why_none(rollouts))
 
     def _window_of(self, rollout: Rollout) -> int:
-        """Frames of a sample of this rollout."""
+        """The number of frames per sample of this rollout."""
         return self._measured if rollout.sensed else self._true_state
 
     def _why_none(self, rollouts: Sequence[Rollout]) -> str:
-        """A line that no rollout is as long as one sample; empty if one is."""
+        """A message that no rollout is as long as one sample; empty if one is."""
         if not rollouts or any(rollout.frames >= self._window_of(rollout) for rollout in rollouts):
             return ""
         longest = max(rollouts, key=lambda rollout: rollout.frames)
@@ -111,7 +111,7 @@ class Thresholds(Samples):
         )
 
     def _candidates(self, rollout: Rollout, nominal: Nominal) -> tuple[Transitions, Indices]:
-        """The samples that begin at each frame, and the index of the criterion that rejects each, or -1."""
+        """The samples beginning at each frame, and the index of the criterion that rejects each, or -1."""
         states, window = rollout.states, self._window_of(rollout)
         if rollout.frames < window:
             return Transitions.empty(states.shape[1], rollout.inputs.shape[1]), np.empty(0, np.int64)
@@ -156,10 +156,10 @@ def _chosen(transitions: Transitions, rows: Flags | Indices) -> Transitions:
 
 
 def line_weights(window: int) -> Array:
-    """Weights (window,) of steps of measured states, whose mean is the slope of the least-squares line.
+    """Weights (window,) of steps of measured states; the weighted mean is the least-squares line's slope.
 
-    With independent errors of variance s^2 in the states, no other weights give less variance to the mean:
-    12 s^2 / (w (w+1) (w+2)), so 2 s^2 for a single step (w = 1).
+    With independent errors of variance s^2 in the states, these weights minimise the variance of the mean: 12
+    s^2 / (w (w+1) (w+2)), which is 2 s^2 for a single step (w = 1).
     """
     frame = np.arange(1, window + 1)
     parabola = frame * (window + 1.0 - frame)
