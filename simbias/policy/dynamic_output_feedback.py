@@ -1,4 +1,4 @@
-"""Output feedback with a state of its own: a filter, an integral and the last inputs; and with a constant."""
+"""Dynamic output feedback: with a filter, an integral, the last inputs and a constant."""
 
 from __future__ import annotations
 
@@ -21,33 +21,33 @@ Constant = Annotated[float, Field(ge=0, le=100)]
 
 @final
 class DynamicOutputFeedback(Policy):
-    """u = H (y + rho w) + g s + u_0 within the task's limits, a law that remembers; H as in Eq. 9 and 10.
+    """u = H (y + rho w) + g s + u_0 within the task's limits, with memory; H as in Eq. 9 and 10.
 
-    y are the outputs z, those of them that are rates through a low-pass filter of the time constant tau; w is
-    the integral over time of some outputs; s is the integral of the law's own inputs over the last
-    `delay_seconds`. tau, rho, g and u_0 are searched with H: four parameters more, with one input. What is
-    switched off has none.
+    y are the outputs z, with rates passed through a low-pass filter of time constant tau; w is the time
+    integral of some outputs; s is the integral of the law's own inputs over the last `delay_seconds`. tau,
+    rho, g and u_0 are searched with H: four more parameters for one input. A part that is switched off has no
+    parameter.
 
-    - The filter keeps a sensor's noise out of the input, and delays it.
-    - The integral removes what a constant offset would leave, as of a sloping floor. It rests while an input
-      is at its limit.
-    - The inputs that were sent, but do not show in the measured state yet, say where the state will be: where
-      the input B u acts after a delay, z + B s is the state that it will meet, to first order in the delay,
-      and g = H B compensates the delay.
-    - The constant u_0 balances a steady load from the first frame on, before an integral has grown.
+    - The filter keeps sensor noise out of the input, but delays it.
+    - The integral removes the steady error due to a constant offset, such as a sloping floor. It is held
+    while an input is at its limit.
+    - Inputs that were sent but are not yet visible in the measured state predict the future state. If the
+    input B u acts after a delay, z + B s is the state at that time, to first order in the delay, and g = H B
+    compensates the delay.
+    - The constant u_0 balances a steady load from the first frame on, before the integral has built up.
 
     Parameters
     ----------
     bound
-        |h-hat| <= bound, as of `OutputFeedback`.
+        |h-hat| <= bound, as in `OutputFeedback`.
     filter_seconds
         The longest time constant tau in s; 0: no filter.
     integral_rate
         The largest rho in 1/s; 0: no integral.
     integrated
-        Names of the outputs that are integrated; None is the first one.
+        Names of the integrated outputs; None: the first one.
     delay_seconds
-        How far back the law remembers its inputs, in s; 0: not at all.
+        How long the law remembers its inputs, in s; 0: not at all.
     delay_rate
         |g| <= delay_rate, in 1/s.
     constant
@@ -102,9 +102,9 @@ class DynamicOutputFeedback(Policy):
         return u, np.concatenate(kept, axis=-1)
 
     def imitating(self, states: Array, inputs: Array) -> Array:
-        """The parameters (p,) that come nearest to these inputs (k, T, m) at these states (k, T, n).
+        """The parameters (p,) that best imitate these inputs (k, T, m) at these states (k, T, n).
 
-        They have no filter; of several integrals, rho is the one that comes nearest to all.
+        They have no filter; with several integrals, one rho fits all of them best.
         """
         z, ones = self._task.output(states), np.ones((*states.shape[:2], 1))
         w = np.pad(np.cumsum(self.integrated(states), axis=1), ((0, 0), (1, 0), (0, 0)))[:, :-1]
@@ -125,16 +125,16 @@ class DynamicOutputFeedback(Policy):
         return np.clip(np.concatenate(parts), *self.bounds)
 
     def integrated(self, x: Array) -> Array:
-        """The outputs (..., i) that are integrated, at states x (..., n)."""
+        """The integrated outputs (..., i) at states x (..., n)."""
         return self._task.output(x)[..., (self._integrated > 0) & self._integrates]
 
     def _rate(self, H: Array, G: Array) -> Array:
-        """rho (1,) for which rho H comes nearest to the gains G (m, i) of the integrals."""
+        """rho (1,) for which rho H best fits the gains G (m, i) of the integrals."""
         own = H[:, self._integrated > 0]
         return np.array([np.sum(G * own) / (np.sum(own**2) + TINY)])
 
     def _parameters(self, theta: Array) -> tuple[Array, ...]:
-        """H (..., m, q); what y and rho w take of z in a frame, (..., q); g in 1/frame and u_0, (..., m)."""
+        """H (..., m, q); rates of y and rho w per frame, (..., q); g in 1/frame and u_0, (..., m)."""
         h, rest = np.split(theta, [self._m * self._q], axis=-1)
         leading, dt = h.shape[:-1], self._task.time_step
         smoothing, gathering = np.ones((*leading, self._q)), np.zeros((*leading, self._q))

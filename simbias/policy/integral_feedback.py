@@ -1,4 +1,4 @@
-"""Output feedback with an integral whose gains are free of the others."""
+"""Output feedback with an integral that has its own gains."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from simbias.policy.gains import inverse_signed_exponential, least_squares_gains
 
 
 class IntegralFeedback(Policy):
-    """u = H z + G w within the task's limits, w the integral over time of some outputs.
+    """u = H z + G w within the task's limits, with w the time integral of some outputs.
 
-    H and G are searched as in Eq. 10. A steady disturbance leaves no error in what is integrated. The
-    integral rests while an input is at its limit.
+    H and G are searched as in Eq. 10. A steady disturbance leaves no error in the integrated outputs. The
+    integral is held while an input is at its limit.
 
     Parameters
     ----------
     bound
-        |h-hat| <= bound, as of `OutputFeedback`.
+        |h-hat| <= bound, as in `OutputFeedback`.
     outputs
-        Names of the outputs that are integrated; None is the first one.
+        Names of the integrated outputs; None: the first one.
     """
 
     def __init__(self, task: Task, bound: Bound = 10.0, outputs: list[str] | None = None) -> None:
@@ -46,11 +46,11 @@ class IntegralFeedback(Policy):
         return u, policy_state + self._task.time_step * free * z[..., self._chosen]
 
     def integrated(self, x: Array) -> Array:
-        """The outputs (..., i) that are integrated, at states x (..., n)."""
+        """The integrated outputs (..., i) at states x (..., n)."""
         return self._task.output(x)[..., self._chosen]
 
     def imitating(self, states: Array, inputs: Array) -> Array:
-        """The parameters (p,) that come nearest to these inputs (k, T, m) at these states (k, T, n)."""
+        """The parameters (p,) that best imitate these inputs (k, T, m) at these states (k, T, n)."""
         z = self._task.output(states)
         w = self._task.time_step * np.cumsum(z[..., self._chosen], axis=1)
         features = np.concatenate([z, np.pad(w, ((0, 0), (1, 0), (0, 0)))[:, :-1]], axis=-1)

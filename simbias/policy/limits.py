@@ -1,4 +1,4 @@
-"""The limits of inputs, for policies that cannot do without."""
+"""The limits of inputs, for policies that require them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A policy that is a small network, and the functions of a vector that it may be."""
+"""A small network as policy, and its possible architectures."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Perceptron:
 
 
 class RadialBasis:
-    """Radial basis functions of centres and common widths, squashed by (9 sin v + sin 3v) / 8.
+    """Radial basis functions with centres and common widths, squashed by (9 sin v + sin 3v) / 8.
 
     As in M. P. Deisenroth, C. E. Rasmussen, PILCO: A Model-Based and Data-Efficient Approach, 2011.
     """
@@ -68,28 +68,28 @@ NETWORKS: dict[Kind, type[Perceptron | RadialBasis]] = {"mlp": Perceptron, "rbf"
 
 @final
 class Network(Policy):
-    """u = the middle of the inputs' limits + half of their width times a network of the outputs.
+    """u = the middle of the input limits + half their width times a network of the outputs.
 
     Parameters
     ----------
     kind
-        "mlp": a hidden layer of tanh; "rbf": radial basis functions.
+        "mlp": one hidden layer with tanh; "rbf": radial basis functions.
     units
-        Of the hidden layer, or basis functions.
+        Number of hidden units or basis functions.
     bound
-        Of the weights.
+        Bound on the weights.
     errors
-        The errors of the task's goal are inputs of the network too.
+        Whether the errors of the task's goal are also inputs of the network.
     observer
-        "filter": a low-pass filter of rates; "derivative": rates from positions; "model": predictions of the
-        nominal model as declared, corrected; their gains are searched. "kalman": a Kalman filter of the
-        nominal model, as identified. "none": the network sees what is measured.
+        "filter": a low-pass filter of rates; "derivative": rates from positions; "model": corrected
+        predictions of the declared nominal model. The gains of these are searched. "kalman": a Kalman filter
+        of the identified nominal model. "none": the network uses the measured state.
     noise
-        Variances of what is measured, by name (`simbias.simulation.noise.Noise`), which the Kalman filter
-        reckons with.
+        Measurement noise variances, by name (`simbias.simulation.noise.Noise`), that the Kalman filter
+        assumes.
     latency
-        Time in s by which measurements or inputs are late, besides what a Kalman filter knows of its model:
-        the network acts on the state that the nominal model predicts from the inputs that were sent since.
+        Delay in s of measurements or inputs, in addition to delays in a Kalman filter's model: the network
+        acts on the state that the nominal model predicts from the inputs sent since.
 
     Raises
     ------
@@ -125,7 +125,7 @@ class Network(Policy):
         self._middle, self._half = (most + least) / 2, (most - least) / 2
 
     def designed_on(self, nominal: Nominal) -> Network:
-        """The network, a Kalman filter being that of this model."""
+        """The network; a Kalman filter is redesigned on this model."""
         other = copy(self)
         other._observer = self._observer.designed_on(nominal)
         other.state_size = other._observer.size
@@ -138,7 +138,7 @@ class Network(Policy):
         return u, self.keep(x, estimate, u, policy_state)
 
     def estimate(self, theta: Array, x: Array, t: float, kept: Array) -> Array:
-        """The state (..., n) as the observer sees it, its own state being (..., s)."""
+        """The observer's estimate (..., n) of the state; its own state is (..., s)."""
         own = self._observer.estimate(theta[..., self._weights :], x[..., : self._n], t, kept)
         return self._with_targets(own, x)
 
@@ -149,7 +149,7 @@ class Network(Policy):
         return self._middle + self._half * self._network(theta[..., : self._weights], z)
 
     def ahead(self, estimate: Array, kept: Array) -> Array:
-        """The state (..., n) that the next input will meet, as the observer knows it."""
+        """The state (..., n) when the next input acts, predicted by the observer."""
         return self._with_targets(self._observer.ahead(estimate[..., : self._n], kept), estimate)
 
     def keep(self, x: Array, estimate: Array, u: Array, kept: Array) -> Array:
@@ -157,5 +157,5 @@ class Network(Policy):
         return self._observer.keep(x[..., : self._n], estimate[..., : self._n], u, kept)
 
     def _with_targets(self, own: Array, x: Array) -> Array:
-        """The robot's own states and the targets in x, which are known (..., n)."""
+        """The robot's own states combined with the known targets in x (..., n)."""
         return np.concatenate([own, x[..., self._n :]], axis=-1)

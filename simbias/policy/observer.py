@@ -1,4 +1,4 @@
-"""Estimates of the state for a policy, from measurements whose rates are noisy, late or missing."""
+"""State estimates for a policy, from measurements with noisy, late or missing rates."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from simbias.simulation.linearization import STEP, input_scale, linearization
 from simbias.simulation.noise import QUIET, Noise, Variances
 
 ObserverKind = Literal["none", "filter", "derivative", "model", "kalman"]
-LEAST = 0.02  # gain of a filter
-DISTURBANCE = 0.05  # deviation of unknown inputs in a frame, as a share of the limits: process noise
-ELSEWHERE = 0.01  # that of each rate, as a share of what unknown inputs do to it: no direction is exact
-MOST_AHEAD = 20  # frames that it looks ahead
-EXACT = 1e-6  # deviation of what is measured without noise, in its unit
-BALANCED, ROUNDS = 1e-9, 5  # change of states in a frame, in their units, that is none; steps to a balance
+LEAST = 0.02  # least gain of a filter
+DISTURBANCE = 0.05  # process noise: deviation of unknown inputs in a frame, as a share of the limits
+ELSEWHERE = 0.01  # its share that acts on each state separately, so that no direction is exact
+MOST_AHEAD = 20  # frames of prediction
+EXACT = 1e-6  # deviation assumed for noise-free measurements, in their unit
+BALANCED, ROUNDS = 1e-9, 5  # negligible change of states per frame, in their units; steps of the search
 
 
 def holding(task: Task, nominal: Nominal, x: Array) -> Array:
-    """Inputs (m,) within the limits under which states x (n,) change least, the model's joints sliding."""
+    """Inputs (m,) within the limits under which states x (n,) change least, with sliding joints."""
     from scipy.optimize import lsq_linear  # lazily: few policies need it
 
     nominal, limit = nominal.without_dry_friction(), input_scale(task)
     lower, upper = task.input_bounds
-    room = np.minimum(STEP * limit, 0.49 * (upper - lower))  # differences do not leave the limits
+    room = np.minimum(STEP * limit, 0.49 * (upper - lower))  # differences stay within the limits
     lower, upper = lower + room, upper - room
     u = np.clip(np.zeros(len(limit)), lower, upper)
     for _ in range(ROUNDS):
@@ -41,16 +41,16 @@ def holding(task: Task, nominal: Nominal, x: Array) -> Array:
 
 
 class Observer(ABC):
-    """An estimate of the state, frame by frame; in the first frame, it is what is measured."""
+    """An estimate of the state, frame by frame; in the first frame, it is the measured state."""
 
-    bounds: tuple[Array, Array] = (np.empty(0), np.empty(0))  # of its parameters: lower (o,), upper (o,)
-    copies: int = 0  # of states, that its own state holds
-    frames_ahead: int = 0  # after which the next input acts, as far as it knows
+    bounds: tuple[Array, Array] = (np.empty(0), np.empty(0))  # of its gains: lower (o,), upper (o,)
+    copies: int = 0  # number of copies of the states in its own state
+    frames_ahead: int = 0  # delay of the next input, as far as known
 
     def __init__(self, task: Task, nominal: Nominal, noise: Variances = QUIET) -> None:
         self._task, self._nominal, self._noise = task, nominal, noise
         self._is_rate = np.array([state.is_rate for state in task.states])
-        self.size = self.copies * len(task.states)  # of its own state
+        self.size = self.copies * len(task.states)  # size of its own state
 
     @abstractmethod
     def estimate(self, gains: Array, x: Array, t: Any, kept: Array) -> Array:
@@ -58,14 +58,14 @@ class Observer(ABC):
 
     @abstractmethod
     def keep(self, x: Array, estimate: Array, u: Array, kept: Array) -> Array:
-        """The observer's state (..., s) for the next frame, given the input u (..., m) that is sent."""
+        """The observer's state (..., s) for the next frame, given the sent input u (..., m)."""
 
     def ahead(self, estimate: Array, kept: Array) -> Array:
-        """The state (..., n) that the next input will meet, as far as the observer knows of delays."""
+        """The state (..., n) when the next input acts, accounting for known delays."""
         return estimate
 
     def designed_on(self, nominal: Nominal) -> Observer:
-        """The observer of an identified model; itself if it is of no model, or of the one as declared."""
+        """The observer designed on an identified model; itself if it uses no model or the declared one."""
         return self
 
     def _first(self, t: Any) -> Any:
@@ -103,9 +103,9 @@ class RateFilter(Observer):
 class RatesOfPositions(Observer):
     """r <- r + alpha (dq / dt - r): differences of positions, filtered.
 
-    Of measured rates, those of the first frame alone are used: a robot that measures none sends zeros.
+    Measured rates are used only in the first frame: a robot that measures none sends zeros.
 
-    ValueError if a task has not a rate for each other state, in its unit per second.
+    ValueError if a task lacks a rate, in its unit per second, for one of the other states.
     """
 
     bounds = (np.array([LEAST]), np.array([1.0]))
@@ -115,7 +115,7 @@ class RatesOfPositions(Observer):
         super().__init__(task, nominal, noise)
         rates, positions = rates_and_positions(task.states)
         self._source = np.arange(len(task.states))
-        self._source[rates] = positions  # of each state, the one whose difference counts
+        self._source[rates] = positions  # for each state: the index of the state whose difference counts
         self._quantities = [task.states[index] for index in self._source]
 
     def estimate(self, gains: Array, x: Array, t: Any, kept: Array) -> Array:
@@ -130,17 +130,16 @@ class RatesOfPositions(Observer):
 
 
 class ModelObserver(Observer):
-    """x^ <- f'(x^, u) + gains (x - f'(x^, u)), f' the nominal model: one gain of positions, one of rates.
+    """x^ <- f'(x^, u) + gains (x - f'(x^, u)), f' the nominal model: one gain for positions, one for rates.
 
-    It is a Kalman filter whose gains are searched rather than computed of variances, and whose model is the
-    one as declared.
+    It is like a Kalman filter of the declared model, but its gains are searched, not computed from variances.
     """
 
     bounds = (np.array([LEAST, LEAST]), np.array([1.0, 1.0]))
     copies = 1
 
     def estimate(self, gains: Array, x: Array, t: Any, kept: Array) -> Array:
-        """The prediction, corrected by what is measured."""
+        """The prediction, corrected by the measurement."""
         gain = np.where(self._is_rate, gains[..., 1:], gains[..., :1])
         return np.where(self._first(t), x, kept + gain * wrapped(x - kept, self._task.states))
 
@@ -152,11 +151,11 @@ class ModelObserver(Observer):
 class KalmanFilter(Observer):
     """x^ <- x- + L (x - x-), x- = f'(x^, u): a stationary Kalman filter of the (identified) nominal model.
 
-    L is that of the model linearised at the goal's rest, or at the mean start if the goal is not about all
-    states, under the inputs that hold it there, its joints sliding (R. E. Kalman, J. Basic Eng. 82, 1960).
-    What the states do not show, as inputs that are late, is known: it follows from the inputs that were sent.
-    If inputs are late, the policy acts on the state that its input will meet: `frames_ahead` frames later, by
-    the inputs that are under way.
+    L is the gain for the model linearised at the goal, or at the mean start if the goal does not cover all
+    states, under the inputs that hold it there, with sliding joints (R. E. Kalman, J. Basic Eng. 82, 1960).
+    The model state, such as delayed inputs, is known: it follows from the sent inputs. If inputs are delayed,
+    the policy acts on the state when its input will act: `frames_ahead` frames later, predicted from the
+    inputs already sent.
 
     ValueError if the model has no stationary filter there.
     """
@@ -168,7 +167,7 @@ class KalmanFilter(Observer):
         self.frames_ahead = self._delay()
 
     def _stationary(self) -> Array:
-        """The gain (n, n) of what is measured."""
+        """The gain (n, n) of the innovation."""
         task, limit = self._task, input_scale(self._task)
         V = np.diag(np.maximum(Noise(task, self._noise).sensor_variance, EXACT**2))
         try:
@@ -183,19 +182,19 @@ class KalmanFilter(Observer):
         return np.linalg.solve(P + V, P).T
 
     def _balance(self) -> tuple[Array, Array]:
-        """States (n,), and the inputs (m,) that hold them."""
+        """The states (n,) to linearise at, and the inputs (m,) that hold them."""
         task = self._task
         at_goal, end = task.goals == task.states, task.horizon * task.time_step
         x = np.broadcast_to(task.reference(end) if at_goal else task.start_mean, (len(task.states),))
         return x, holding(task, self._nominal, x)
 
     def _delay(self) -> int:
-        """Frames until more than half of an input acts; none where it never does."""
+        """Frames until more than half of an input acts; 0 if inputs have no effect."""
         nominal, limit = self._nominal, input_scale(self._task)
         x, hidden = np.zeros((2, len(self.gain))), np.zeros((2, nominal.state_size))
         u = np.stack([limit, 0.0 * limit])
         at_once = np.abs(np.subtract(*nominal.step(x, u))).sum()
-        if not at_once:  # as of a model that knows positions and rates alone
+        if not at_once:  # such as a model of positions and rates alone
             return 0
         for frames in range(MOST_AHEAD):
             moved, hidden = nominal.advance(x, u, hidden)
@@ -204,11 +203,11 @@ class KalmanFilter(Observer):
         return MOST_AHEAD
 
     def designed_on(self, nominal: Nominal) -> KalmanFilter:
-        """The filter of another model."""
+        """The filter designed on another model."""
         return KalmanFilter(self._task, nominal, self._noise)
 
     def estimate(self, gains: Array, x: Array, t: Any, kept: Array) -> Array:
-        """The prediction, corrected by what is measured."""
+        """The prediction, corrected by the measurement."""
         predicted = kept[..., : len(self.gain)]
         innovation = wrapped(x - predicted, self._task.states)
         return np.where(self._first(t), x, predicted + (self.gain @ innovation[..., None])[..., 0])
@@ -218,7 +217,7 @@ class KalmanFilter(Observer):
         return np.concatenate(self._nominal.advance(estimate, u, kept[..., len(self.gain) :]), axis=-1)
 
     def ahead(self, estimate: Array, kept: Array) -> Array:
-        """The state (..., n) after the frames in which inputs act that were sent before."""
+        """The state (..., n) after the frames in which the inputs already sent act."""
         hidden, nothing = kept[..., len(self.gain) :], 0.0 * estimate[..., : len(self._task.inputs)]
         for _ in range(self.frames_ahead):
             estimate, hidden = self._nominal.advance(estimate, nothing, hidden)
@@ -226,12 +225,12 @@ class KalmanFilter(Observer):
 
 
 class LookAhead(Observer):
-    """The estimate of another observer, carried on by the latency of measurements in s.
+    """The estimate of another observer, extrapolated by the latency of measurements in s.
 
-    x + (latency / dt) (f'(x, u) - x), f' the nominal model as declared, u the mean of the inputs that were
-    sent in this time. It is one step that is stretched, however late they are.
+    The state is x + (latency / dt) (f'(x, u) - x), with f' the declared nominal model and u the mean of the
+    inputs sent in this time: one stretched step, whatever the latency.
 
-    ValueError if they are later than 20 frames.
+    ValueError if the latency exceeds 20 frames.
     """
 
     def __init__(self, task: Task, nominal: Nominal, observer: Observer, latency: float) -> None:
@@ -244,22 +243,22 @@ class LookAhead(Observer):
         self.size = observer.size + self._inputs * len(task.inputs)
 
     def designed_on(self, nominal: Nominal) -> LookAhead:
-        """The other observer being that of this model."""
+        """The same extrapolation, with the other observer designed on this model."""
         own = self._observer.designed_on(nominal)
         return self if own is self._observer else LookAhead(self._task, self._nominal, own, self._latency)
 
     def estimate(self, gains: Array, x: Array, t: Any, kept: Array) -> Array:
-        """The other observer's estimate, of when it was measured."""
+        """The other observer's estimate, at the time of measurement."""
         return self._observer.estimate(gains, x, t, kept[..., : self._observer.size])
 
     def keep(self, x: Array, estimate: Array, u: Array, kept: Array) -> Array:
-        """The other observer's state, and the inputs that were sent, the oldest first."""
+        """The other observer's state, and the sent inputs, oldest first."""
         own, sent = kept[..., : self._observer.size], kept[..., self._observer.size :]
         own = self._observer.keep(x, estimate, u, own)
         return np.concatenate([own, sent[..., len(self._task.inputs) :], u], axis=-1)
 
     def ahead(self, estimate: Array, kept: Array) -> Array:
-        """The state (..., n) that the next input will meet."""
+        """The state (..., n) when the next input acts."""
         m, sent = len(self._task.inputs), kept[..., self._observer.size :]
         u = sum((sent[..., i * m : (i + 1) * m] for i in range(self._inputs)), 0.0 * sent[..., :m])
         ahead = self._observer.ahead(estimate, kept[..., : self._observer.size])

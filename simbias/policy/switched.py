@@ -1,4 +1,4 @@
-"""A swing-up law, and a linear-quadratic regulator near the goal."""
+"""A network for the swing-up, and a linear-quadratic regulator near the goal."""
 
 from __future__ import annotations
 
@@ -16,32 +16,32 @@ from simbias.policy.observer import ObserverKind, holding
 from simbias.simulation.linearization import linear_regulator, linearization
 from simbias.simulation.noise import QUIET, Variances
 
-LEVELS = (-3.0, 3.0)  # logarithm of the level, in units of the largest where the regulator is not cut off
+LEVELS = (-3.0, 3.0)  # logarithm of the level, in units of the largest level without input saturation
 Hysteresis = Annotated[float, Field(ge=1, le=1e9)]
 
 
 @final
 class Switched(Policy):
-    """The LQR of the nominal model where e^T S e is below a level, which is searched; elsewhere a network.
+    """The LQR of the nominal model where e^T S e is below a searched level; elsewhere a network.
 
-    e is the error of the task's goal, which is about all states and a rest; S solves the Riccati equation
-    there, under the inputs that hold it. The regulator is left where e^T S e is above `hysteresis` times the
-    level.
+    e is the error of the task's goal, which must cover all states and be an equilibrium; S solves the Riccati
+    equation there, under the inputs that hold it. The regulator switches off where e^T S e exceeds
+    `hysteresis` times the level.
 
     Parameters
     ----------
     kind, units, bound, observer, noise, latency
-        Of the network (`Network`). With a Kalman filter, the regulator is that of the identified model, too.
+        Options of the network (`Network`). With a Kalman filter, the regulator is also designed on the
+        identified model.
     input_weight
-        Weight of the squared inputs at their limits, that of the squared error of a state by one unit
-        being 1.
+        Weight of a squared input at its limit, relative to a squared state error of one unit.
     hysteresis
-        At least 1.
+        Ratio of the levels for switching off and on, at least 1.
 
     Raises
     ------
     ValueError
-        If the goal is not about all states, or the model has no regulator there.
+        If the goal does not cover all states, or the model has no regulator there.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class Switched(Policy):
         self.state_size = self._swing_up.state_size + 1
 
     def designed_on(self, nominal: Nominal) -> Switched:
-        """The policy, a Kalman filter and its regulator being those of this model."""
+        """The policy; a Kalman filter and the regulator with it are redesigned on this model."""
         other = copy(self)
         other._swing_up = self._swing_up.designed_on(nominal)
         if other._swing_up is self._swing_up:
@@ -80,7 +80,7 @@ class Switched(Policy):
         return other
 
     def oddity(self, theta: Array) -> tuple[str, str] | None:
-        """Whether the level of the policy theta (p,) is at its bound."""
+        """An oddity if the level of the policy theta (p,) is at its bound."""
         for side, bound in zip(("lower", "upper"), LEVELS, strict=True):
             if abs(bound - theta[-1]) < 0.01 * np.ptp(LEVELS):
                 return "the level of a switched policy is at its bound", (
@@ -104,9 +104,9 @@ class Switched(Policy):
 
 
 def _regulator(task: Task, nominal: Nominal, input_weight: float) -> tuple[Array, Array, Array]:
-    """K (m, n), S (n, n) and u_0 (m,) of u = u_0 - K e, of the model as its joints slide.
+    """K (m, n), S (n, n) and u_0 (m,) of u = u_0 - K e, for the model with sliding joints.
 
-    S is scaled to 1 on the largest ellipsoid where no input is cut off.
+    S is scaled so that e^T S e = 1 on the largest ellipsoid without input saturation.
     """
     end, limit = task.horizon * task.time_step, task.input_limit
     x = np.broadcast_to(task.reference(end), (len(task.states),))

@@ -16,41 +16,41 @@ from simbias.policy.observer import OBSERVERS, ObserverKind
 from simbias.simulation.compiler import scheduled
 from simbias.simulation.noise import QUIET, Variances
 
-SMALL = 0.1  # share of the inputs' limits that gains for friction ask for at most
-LARGEST = 1e3  # of a planned state, in its unit
+SMALL = 0.1  # maximum share of the input limits for the friction gains
+LARGEST = 1e3  # bound on planned states, in their units
 Knots = Annotated[int, Field(ge=2, le=2000)]
 ObserverGain = Annotated[float, Field(ge=0.02, le=1)]
 
 
 class Trajectory(Policy):
-    """u = u_t - K_t (x - x_t) within the task's limits: feedforward, and gains that vary in time.
+    """u = u_t - K_t (x - x_t) within the task's limits: feedforward and time-varying gains.
 
-    x_t, u_t and K_t are linear in time between knots, which are evenly spaced over the horizon; after it
-    the last ones hold. If the goal moves, these are almost zero, as nothing counts after the horizon. With a
-    Kalman filter, x is the state that the input will meet. Parameters are, knot by knot, x_t (n), u_t (m)
-    and the rows of K_t (m n), with `sliding` those of L_t (m n) too. States that wrap are compared within
-    half a turn.
+    x_t, u_t and K_t are linear in time between knots, which are evenly spaced over the horizon; afterwards
+    the last ones apply. If the goal moves, the last gains are almost zero, since there is no cost after the
+    horizon. With a Kalman filter, x is the predicted state when the input acts. Parameters are, knot by knot,
+    x_t (n), u_t (m) and the rows of K_t (m n); with `sliding`, also those of L_t (m n). States that wrap are
+    compared within half a turn.
 
     Parameters
     ----------
     bound
-        Of the gains, in the inputs' limits by unit of a state.
+        Bound on the gains, in input limits per unit of a state.
     observer, noise
-        As of `Network`.
+        As in `Network`.
     observer_gain
-        All of the observer's gains, which a Kalman filter has not: 1 trusts what is measured.
+        Common value of the observer's gains, not used by a Kalman filter; 1 trusts the measurements.
     sliding
-        It is planned as joints slide, and the inputs compensate for the dry friction that they can overcome,
-        by the planned velocities. That of other joints is met near rest by gains L_t beside, of deviations so
-        small that L_t (x - x_t) is below a tenth of the limits, where it is cut off.
+        Whether to plan with sliding joints. The inputs compensate for the dry friction that they can
+        overcome, at the planned velocities. For friction in other joints, additional gains L_t act near rest
+        on small deviations: L_t (x - x_t) is clipped to a tenth of the limits.
     resting
-        Seconds at the end of the horizon that the plan leaves for rest: by then it is at the goal.
+        Seconds at the end of the horizon that the plan spends at rest at the goal.
 
     Raises
     ------
     ValueError
-        If the task has targets: each would take a plan of its own; an input has no limit; or `resting`
-        leaves nothing of the horizon.
+        If the task has targets, each of which would need its own plan; if an input has no limit; or if
+        `resting` leaves nothing of the horizon.
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class Trajectory(Policy):
         self.n_parameters = len(self.bounds[0])
 
     def designed_on(self, nominal: Nominal) -> Trajectory:
-        """The policy, a Kalman filter being that of this model."""
+        """The policy; a Kalman filter is redesigned on this model."""
         other = copy(self)
         other._observer = self._observer.designed_on(nominal)
         other.state_size = other._observer.size
@@ -94,7 +94,7 @@ class Trajectory(Policy):
 
     @property
     def frames_ahead(self) -> int:
-        """Frames by which the state that is held against x_t is ahead of the time."""
+        """Number of frames by which the state compared with x_t is ahead of the time."""
         return self._observer.frames_ahead
 
     @property
@@ -124,7 +124,7 @@ class Trajectory(Policy):
         return np.clip(rows.ravel(), *self.bounds)
 
     def law(self, theta: Array) -> Law:
-        """The knots, a row for each."""
+        """The law in words, with one row per knot."""
         beside = f" - clip(L_t (x - x_t), {SMALL:g} of the limits)" * self.sliding
         words = (
             f"u = u_t - K_t (x - x_t){beside}, cut off at the inputs' limits, linear between rows of "
