@@ -12,16 +12,16 @@ from simbias.core.records import Array, Indices, Rollout
 from simbias.simulation.compiler import Expression, Expressions
 
 NAMES = "running", "peak", "final"  # of the expressions
-LARGEST = 1e100  # of a sum, where a simulated state grows beyond all numbers; of what is no number elsewhere
+LARGEST = 1e100  # of a sum, if a simulated state overflows, or an expression is not finite
 
 
 @final
 class Declared(Cost):
     """Z = c (T - t_fail) / T + the mean of `running` + the largest `peak`, if positive, + the last `final`.
 
-    Expressions are those of `simbias.simulation.compiler.expressions`: of states, inputs, the time t in s,
-    the error of each quantity of the task's goal as `angle_error`, and constants. One that is not finite
-    in a finite state, as the root of what is negative, costs the most there.
+    Expressions follow `simbias.simulation.compiler.expressions`. They may use states, inputs, the time t in
+    s, the error of each goal quantity, such as `angle_error`, and constants. An expression that is not finite
+    in a finite state, such as the root of a negative number, gets the largest cost there.
 
     Parameters
     ----------
@@ -50,17 +50,17 @@ class Declared(Cost):
         self._expressions = Expressions(texts, names, constants)
 
     def terms(self, x_next: Array, u: Array, t: Any) -> Array:
-        """The values (..., 3) of the expressions in frames."""
+        """The values (..., 3) of the expressions in each frame."""
         e = self._task.error(x_next, t)
         values = self._expressions(np.concatenate([x_next, u, np.stack([t], axis=-1), e], axis=-1))
         running, peak, final = np.moveaxis(np.where(np.abs(values) < np.inf, values, LARGEST), -1, 0)
         ends = 1.0 * (t > (self.horizon - 0.5) * self.time_step)
-        # In every frame, also of constants; no number in a frame that ends beyond all numbers.
+        # One value per frame, even for constants; nan in a frame that ends in a non-finite state.
         each = 0.0 * (t + np.sum(x_next, axis=-1))
         return np.stack([running + each, peak + each, ends * final + each], axis=-1)
 
     def oddity(self, rollout: Rollout) -> tuple[str, str] | None:
-        """The first expression that is no number along a rollout, and when."""
+        """An oddity if an expression is not finite along a rollout: the first such expression, and when."""
         t = self.time_step * np.arange(1, rollout.frames + 1)
         with np.errstate(over="ignore", invalid="ignore"):
             terms = self.terms(rollout.states[1:], rollout.inputs, t)

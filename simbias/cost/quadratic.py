@@ -11,14 +11,14 @@ from simbias.core.ranges import Positive
 from simbias.core.records import Array, Indices
 from simbias.cost.weights import Weights, weights_of
 
-LARGEST = 1e100  # of a peak: in a frame, a simulated state may grow until its square is not finite
+LARGEST = 1e100  # of a peak: within a frame, a simulated state may grow until its square overflows
 
 
 class Quadratic(Cost):
     """Z = c (T - t_fail) + max x^T R x + sum u^T Q u (Eq. 8), R and Q diagonal.
 
-    Weights are a list, one for each state or input, or stand by the name or the kind of a quantity; what is
-    not named then weighs nothing.
+    Weights are a list with one for each state or input, or a mapping by name or kind of quantities; a
+    quantity not named has zero weight.
     """
 
     reductions = ("max", "sum")
@@ -38,16 +38,17 @@ class Quadratic(Cost):
         self._Q = weights_of("input_weights", input_weights, task.inputs)  # (m,)
 
     def with_horizon(self, horizon: int) -> Self:
-        """The cost for another horizon in frames; an input weighs as much as in the old one.
+        """The cost for another horizon in frames; the total weight of the inputs stays the same.
 
-        Otherwise the effort would grow with the horizon, the peak would not, and another policy be the best.
+        Otherwise the effort would grow with the horizon but the peak would not, and another policy would be
+        optimal.
         """
         longer = super().with_horizon(horizon)
         longer._Q = self._Q * (self.horizon / horizon)
         return longer
 
     def terms(self, x_next: Array, u: Array, t: Any) -> Array:
-        """x^T R x and u^T Q u (..., 2) of frames (Eq. 8)."""
+        """x^T R x and u^T Q u (..., 2) of each frame (Eq. 8)."""
         return np.stack([np.square(x_next) @ self._R, np.square(u) @ self._Q], axis=-1)
 
     def of_totals(self, totals: Array, lost: Indices) -> Array:

@@ -1,4 +1,4 @@
-"""The cost of being away from a goal, which saturates far away."""
+"""A cost of the distance from a goal, which saturates far away."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ class Saturating(Cost):
     Parameters
     ----------
     widths
-        w, in units of the goal's quantities: a list, or by name or kind; what is not named does not count.
+        w, in units of the goal's quantities: a list, or by name or kind; a quantity not named does not count.
     input_weights
-        Q, likewise, of the inputs.
+        Q, in the same form, for the inputs.
     failure_weight
-        c: 1 is the cost of a frame far from the goal.
+        c; the cost of a frame far from the goal is 1.
     """
 
     reductions = ("sum",)
@@ -53,7 +53,7 @@ class Saturating(Cost):
         self._Q = weights_of("input_weights", input_weights or {}, task.inputs)  # (m,)
 
     def terms(self, x_next: Array, u: Array, t: Any) -> Array:
-        """The cost (..., 1) of frames."""
+        """The cost (..., 1) of each frame."""
         far = 1.0 - np.exp(-(np.square(self._task.error(x_next, t)) @ self._W))
         return np.stack([far + np.square(u) @ self._Q], axis=-1)
 

@@ -1,4 +1,4 @@
-"""The quadratic cost of being away from a goal."""
+"""A quadratic cost of the error from a goal."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from simbias.core.ranges import Positive
 from simbias.core.records import Array, Indices
 from simbias.cost.weights import Weights, weights_of
 
-LARGEST = 1e100  # of a sum: in a frame, a simulated state may grow until its square is not finite
+LARGEST = 1e100  # of a sum: within a frame, a simulated state may grow until its square overflows
 
 
 @final
@@ -23,10 +23,10 @@ class Tracking(Cost):
     Parameters
     ----------
     error_weights, input_weights, final_weights
-        The diagonals of R, Q and P: a list, or by name or kind; what is not named weighs nothing. A goal's
-        rates are weighed where they are among its quantities.
+        The diagonals of R, Q and P: a list, or by name or kind; a quantity not named has zero weight. Rates
+        have weights only if they are among the goal's quantities.
     failure_weight
-        c, of each frame that a failure takes away.
+        c, the cost of each frame lost by a failure.
     """
 
     reductions = ("sum", "sum")
@@ -49,12 +49,12 @@ class Tracking(Cost):
 
     @property
     def goal_weights(self) -> GoalWeights:  # type: ignore[override]
-        """R and Q over time, P at the end, of Z times the horizon in s."""
+        """R and Q per second and P at the end, for Z times the horizon in s."""
         seconds = self.horizon * self.time_step
         return GoalWeights(self._R, self._Q, self.time_step * self._R + seconds * self._P)
 
     def terms(self, x_next: Array, u: Array, t: Any) -> Array:
-        """The cost of frames, and that of the last one (..., 2)."""
+        """The running cost and the final cost (..., 2) of each frame."""
         squares = np.square(self._task.error(x_next, t))
         last = t > (self.horizon - 0.5) * self.time_step
         return np.stack([squares @ self._R + np.square(u) @ self._Q, last * (squares @ self._P)], axis=-1)

@@ -15,7 +15,7 @@ Weights = list[NonNegative] | dict[str, NonNegative]  # one for each quantity, o
 
 
 def weights_of(name: str, weights: Weights, quantities: Sequence[Quantity]) -> Array:
-    """The weight of each quantity: by its place, or by its own name or else its kind."""
+    """The weight of each quantity: by its index, or by its name or else its kind."""
     if not isinstance(weights, dict):
         if len(weights) != len(quantities):
             raise ValueError(f"{name} has {len(weights)} values; the task has {len(quantities)}")
