@@ -36,7 +36,7 @@ def _parents(first: tuple[str, ...]) -> Iterator[Path]:
 
 
 def _private() -> Path:
-    """This user's private temporary folder; OSError if another user owns a folder of that name.
+    """The user's private temporary folder; OSError if another user owns a folder of that name.
 
     Privacy matters because Numba runs whatever it finds in its cache.
     """
