@@ -1,9 +1,9 @@
-"""Actuators, from the commanded input to the one that acts: gain, limit, lag, delay and offset.
+"""Actuators between the commanded input and the acting input: gain, limit, lag, delay and offset.
 
     u_acts = offset + lag(limited(gain u(t - delay)))
 
-The kernels below put actuators before any robot's kernel, in the lanes of vector registers. Their memory is
-zero at the start: nothing was commanded before.
+The kernels below put actuators in front of any robot's kernel, in the lanes of vector registers. Their memory
+is zero at the start, as nothing was commanded before.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ class Actuator(NamedTuple):
     """Parameters of an input's actuator; by default, the input acts as commanded."""
 
     gain: float = 1.0
-    offset: float = 0.0  # in the input's unit, as the limit is
+    offset: float = 0.0  # in the input's unit, like the limit
     limit: float = math.inf
     lag: float = 0.0  # s, the time constant of a first-order lag
     delay: float = 0.0  # s
 
 
 def taps_of(delay: float, time_step: float) -> int:
-    """The number of earlier inputs that a delay of up to `delay` s needs; ValueError if it is too large."""
+    """The number of earlier inputs needed for delays up to `delay` s; ValueError if it is too large."""
     taps = math.ceil(delay / time_step - 1e-9)
     if taps > MOST_TAPS:
         raise ValueError(f"a delay of up to {delay:g} s is {taps} frames; at most {MOST_TAPS} are remembered")
@@ -43,9 +43,10 @@ def taps_of(delay: float, time_step: float) -> int:
 class Actuators:
     """The actuators of all inputs of a robot, whose delays are at most `taps` frames.
 
-    What acts is continuous in lag and delay. In a frame it is its mean over the frame, as of a real motor, if
-    `averaged`; this is exact for inputs that are constant in each frame. Else it is its value at the end, and
-    with a fraction of a frame in the delay, the input is interpolated between the frames beside it first.
+    The acting input is continuous in lag and delay. If `averaged`, its value in a frame is the mean over the
+    frame, as for a real motor; this is exact for inputs that are constant in each frame. Otherwise it is the
+    value at the end of the frame; if the delay contains a fraction of a frame, the input is first
+    interpolated between adjacent frames.
     """
 
     def __init__(
@@ -68,18 +69,18 @@ class Actuators:
         self.kernel = Kernel(_act(len(actuators), taps), self._parameters.ravel())
 
     def before(self, mechanics: Kernel) -> Kernel:
-        """The kernel, with memory, of a nominal model without, whose inputs these actuators deliver."""
+        """The kernel, with memory, of these actuators in front of a nominal model without memory."""
         act = self.kernel
         function = _composed(act.function, len(act.parameters), mechanics.function)
         return Kernel(function, np.concatenate([act.parameters, mechanics.parameters]))
 
     def settled(self, u: Array) -> Array:
-        """The steady-state input (..., m) that acts when u (..., m) is commanded for long."""
+        """The acting input (..., m) in steady state when u (..., m) is commanded."""
         gain, offset, limit = self._parameters[:, :3].T
         return limited(gain * u, limit) + offset
 
     def acting(self, u: Array, memory: Array) -> tuple[Array, Array]:
-        """Input (..., m) that acts when u (..., m) is commanded, and memory (..., s) for the next frame."""
+        """The acting input (..., m) when u (..., m) is commanded, and memory (..., s) for the next frame."""
         m, act = len(self._parameters), self.kernel.function
 
         def both(u, memory, parameters):
@@ -90,8 +91,8 @@ class Actuators:
         return rows[..., :m], rows[..., m:]
 
     def model_states(self, inputs: Array) -> Array:
-        """Memory (k, s) in each frame of a record of inputs (k, m) from the start on."""
-        from scipy.signal import lfilter  # half of what `import simbias` would take, and few need it
+        """Memory (k, s) in each frame of a record of inputs (k, m), from its start."""
+        from scipy.signal import lfilter  # would take half of the time of `import simbias`, and few need it
 
         k, columns = len(inputs), []
         for u, (gain, _, limit, keep, _, *weights) in zip(inputs.T, self._parameters, strict=True):
@@ -102,10 +103,10 @@ class Actuators:
 
 
 def _weights(delay: float, lag: float, taps: int) -> tuple[Array, Array]:
-    """Weights (1 + taps,) of an input and of those before: in the lag at the end of a frame, and in its mean.
+    """Weights (1 + taps,) of current and earlier inputs: in the lag's state after a frame, and in its mean.
 
-    Delay and lag are in frames. In the fraction of a frame that the delay has, the input of the frame before
-    acts still.
+    Delay and lag are in frames. During the fractional part of the delay, the previous frame's input still
+    acts.
     """
     whole = int(delay)
     fraction = delay - whole
@@ -118,7 +119,7 @@ def _weights(delay: float, lag: float, taps: int) -> tuple[Array, Array]:
 
 
 def limited(x, limit):
-    """Numbers or arrays x within +-limit."""
+    """Clip numbers or arrays x to +-limit."""
     return at_most(at_least(x, -limit), limit)
 
 
@@ -129,11 +130,11 @@ def _earlier(values: Array, frames: int) -> Array:
 
 @lru_cache(maxsize=64)
 def _act(inputs: int, taps: int, first: int = 0) -> Callable:
-    """The kernel of the inputs from number `first` on.
+    """The actuator kernel of the inputs from number `first` on.
 
-    Of each input, its parameters are gain, offset, limit, what is kept of the lag's state in a frame, that
-    state's weight in what acts, and the weights of this frame's input and of those before, in the lag's state
-    and in what acts; its memory is the lag's state and these earlier inputs.
+    The parameters of each input are: gain, offset, limit, the share of the lag's state kept per frame, the
+    weight of that state in the acting input, and the weights of current and earlier inputs, in the lag's
+    state and in the acting input. The memory is the lag's state and the earlier inputs.
     """
     if first == inputs:
         return lambda u, parameters, memory: ((), ())
@@ -143,7 +144,7 @@ def _act(inputs: int, taps: int, first: int = 0) -> Callable:
     at_end, of_mean = (_weighted(p + 5 + own * (1 + taps), first, earlier, taps) for own in (0, 1))
 
     def act(u, parameters, memory):
-        """The inputs that act, and the memory for the next frame."""
+        """The acting inputs, and the memory for the next frame."""
         gain, limit, keep, before = parameters[p], parameters[p + 2], parameters[p + 3], parameters[p + 4]
         target = limited(gain * at_end(u, parameters, memory), limit)
         mean = limited(gain * of_mean(u, parameters, memory), limit)
@@ -157,7 +158,7 @@ def _act(inputs: int, taps: int, first: int = 0) -> Callable:
 
 
 def _weighted(first: int, number: int, earlier: int, taps: int) -> Callable:
-    """An input of this frame and those before, by weights that begin at parameter `first`."""
+    """The weighted sum of current and earlier inputs; weights begin at parameter `first`."""
     terms = [f"parameters[{first + 1 + j}] * memory[{earlier + j}]" for j in range(taps)]
     sums = f"parameters[{first}] * u[{number}] + ({sum_of(terms)})"
     return function_of(f"def weighted(u, parameters, memory): return {sums}", "weighted")
@@ -165,7 +166,7 @@ def _weighted(first: int, number: int, earlier: int, taps: int) -> Callable:
 
 @lru_cache(maxsize=64)
 def _composed(act: Callable, count: int, step: Callable) -> Callable:
-    """The kernel of actuators before a robot's; the first `count` parameters are the actuators'."""
+    """The kernel of actuators in front of a robot's; the first `count` parameters are the actuators'."""
 
     def advance(x, u, parameters, memory):
         """x_next, and the memory for the next frame."""

@@ -1,4 +1,4 @@
-"""Closed-loop rollouts in simulation (Eq. 7, 9): compiled where all parts have kernels, else in NumPy."""
+"""Closed-loop rollouts in simulation (Eq. 7, 9): compiled if all parts have kernels, else in NumPy."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from simbias.simulation.open_loop import corrections
 
 
 def simulator(model: Model, disturbance: Disturbance | None = None, cost: Cost | None = None) -> Simulator:
-    """The compiled closed loop where every part of it has a kernel or can be traced, else the plain one.
+    """The compiled closed loop if every part has a kernel or can be traced, else the plain one in NumPy.
 
-    With the cost of a search, what it compiles is what the search runs.
+    Given a search's cost, it compiles the same loop as the search.
     """
     compiled = CompiledSimulator.of(model, disturbance, cost)
     return compiled or PlainSimulator([model], [disturbance], corrections)
 
 
 def join(simulators: Sequence[Simulator]) -> Scenarios:
-    """Simulators as one, for a policy search: in lockstep, if they share enough.
+    """Combine simulators for a policy search: in lockstep, if they share enough.
 
-    Compiled ones have to share all but the nominal model's parameters and the noise.
+    Compiled ones must share everything except the nominal model's parameters and the noise.
     """
     compiled = [simulator for simulator in simulators if isinstance(simulator, CompiledSimulator)]
     plain = [simulator for simulator in simulators if isinstance(simulator, PlainSimulator)]
@@ -44,7 +44,7 @@ def join(simulators: Sequence[Simulator]) -> Scenarios:
 
 
 def _say_what_is_slow(model: Model) -> None:
-    """Warn of the parts of a closed loop that keep it from being compiled."""
+    """Warn of the parts of a closed loop that prevent its compilation."""
     reasons = "; ".join(part.why_not for part in parts_of(model) if part.kernel is None)
     message = (
         f"simulated in NumPy, up to 500 times slower than compiled, as it cannot be compiled: {reasons}; "
@@ -55,7 +55,7 @@ def _say_what_is_slow(model: Model) -> None:
 
 @dataclass(frozen=True, eq=False)
 class SimulatorSequence:
-    """Simulators that have to be run one after the other."""
+    """Simulators that have to run one after the other."""
 
     simulators: Sequence[Simulator]
 

@@ -1,4 +1,4 @@
-"""Closed-loop rollouts without Python in them (Eq. 7, 9), sixteen in lockstep on each thread."""
+"""Compiled closed-loop rollouts (Eq. 7, 9), sixteen in lockstep on each thread."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ from simbias.simulation.numpy_loop import MOST, costs_of, record, shaped
 
 @dataclass(frozen=True, eq=False)
 class CompiledSimulator:
-    """The closed loop of components that all have kernels, own or traced, in one scenario or in several."""
+    """The closed loop of components with kernels, hand-written or traced, in one or several scenarios."""
 
-    models: tuple[Model, ...]  # of each scenario; a kernel's parameters may be addresses of what is theirs
+    models: tuple[Model, ...]  # one per scenario; kept, as kernels may hold addresses of their data
     measure: Kernel
     policy: PolicyKernel
-    nominal: Kernel  # its parameters (w, .) in each scenario
+    nominal: Kernel  # with its parameters (w, .) in each scenario
     bias: Kernel
     noise: Array  # (w, T+1, m+n) on the inputs and on the sensors; (w, 0, m+n) without noise
-    cost: Cost | None = None  # summed up of recorded rollouts, too: one loop is compiled for both
+    cost: Cost | None = None  # also accumulated for recorded rollouts, so that one loop serves both
 
     @staticmethod
     def of(
         model: Model, disturbance: Disturbance | None, cost: Cost | None = None
     ) -> CompiledSimulator | None:
-        """The model's closed loop; None if one of its parts has no kernel, and none can be traced."""
+        """The model's closed loop; None if a part has no kernel and cannot be traced."""
         parts = parts_of(model)
         if any(part.kernel is None for part in parts):
             return None
@@ -67,7 +67,7 @@ class CompiledSimulator:
         )
 
     def _runs_in_lockstep_with(self, other: CompiledSimulator) -> bool:
-        """Whether their scenarios differ in nothing but the nominal parameters' values and the noise's."""
+        """Whether the scenarios differ only in the values of nominal parameters and noise."""
         model, others = self.models[0], other.models[0]
         return (
             model.task is others.task
@@ -100,7 +100,7 @@ class CompiledSimulator:
     def costs(
         self, cost: Cost, thetas: Array, starts: Array, scenarios: Indices | None = None
     ) -> tuple[Array, Indices]:
-        """Costs and frames (k,) of these rollouts; nothing is recorded if its terms can be traced."""
+        """Costs and frames (k,) of these rollouts; nothing is recorded if the cost's terms can be traced."""
         task = self.models[0].task
         if of_cost(cost, task).kernel is None:
             return costs_of(cost, self.rollouts(thetas, starts, scenarios))
@@ -111,7 +111,7 @@ class CompiledSimulator:
     def _run(
         self, cost: Cost | None, recorded: bool, thetas: Array, starts: Array, scenarios: Indices | None
     ) -> RolloutBatch:
-        """Rollouts, recorded or not; the cost's terms are summed up, if they can be traced."""
+        """Run rollouts, recorded or not; the cost's terms are accumulated if they can be traced."""
         k, task = len(thetas), self.models[0].task
         starts = shaped("starts", starts, k, len(task.states))
         rows = k if recorded else 0
@@ -139,7 +139,7 @@ class CompiledSimulator:
         return batch
 
     def _composition(self, terms: Kernel | None, cost: Cost | None) -> LoopKernels:
-        """The functions and sizes that the closed loop is compiled from."""
+        """The functions and sizes from which the closed loop is compiled."""
         model, policy = self.models[0], self.policy
         return LoopKernels(
             measure=Function.of(self.measure),
@@ -163,10 +163,10 @@ class CompiledSimulator:
 
 @dataclass(frozen=True, eq=False)
 class RolloutBatch:
-    """Records and costs of k rollouts, as the loop fills them."""
+    """Records and costs of k rollouts, filled by the loop."""
 
-    states: Array  # (k, T+1, n), or nothing if they are not recorded
-    inputs: Array  # (k, T, m), likewise
+    states: Array  # (k, T+1, n), or empty if not recorded
+    inputs: Array  # (k, T, m), or empty if not recorded
     totals: Array  # (k, s) of the cost's terms
     frames: Indices  # (k,)
     violated: Indices  # (k,) criterion that ended it, -1 at the horizon

@@ -1,4 +1,4 @@
-"""An experiment on a robot that is stepped frame by frame: noise, control, failure and the record."""
+"""An experiment on a robot, stepped frame by frame: noise, control, failure and the record."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ BLOW_UP = "physics_engine_blew_up"
 
 
 class Robot(ABC):
-    """A robot under way."""
+    """A running robot."""
 
     @abstractmethod
     def state(self) -> Array:
@@ -24,11 +24,11 @@ class Robot(ABC):
 
     @abstractmethod
     def step(self, u: Array) -> None:
-        """One frame under the input u (m,)."""
+        """Advance one frame under the input u (m,)."""
 
     @abstractmethod
     def failure(self) -> str | None:
-        """Name of the criterion that it violates, if any."""
+        """Name of the violated criterion, if any."""
 
     def reading(self) -> Array:
         """The reading (n,) of the state by noise-free sensors."""
@@ -38,11 +38,11 @@ class Robot(ABC):
 def experiment(
     task: Task, robot: Robot, policy: Policy, theta: Array, noise: Disturbance, record: Record
 ) -> Rollout:
-    """Run theta (p,) on a robot from where it stands, up to failure or horizon.
+    """Run theta (p,) on a robot from its current state until failure or the horizon.
 
-    Failure is judged by the true states. What is recorded are these, or the measured ones.
+    Failure is judged by the true states. Either these or the measured states are recorded.
 
-    A HardwareError says if the robot stands, or the policy asks for, what is not finite.
+    HardwareError if the robot's state or the policy's input is not finite.
     """
     states = [robot.state()]
     if not _is_finite(states[0]):
@@ -59,7 +59,7 @@ def experiment(
         robot.step(u + noise.inputs[t])
         x = robot.state()
         if not _is_finite(x):
-            failure = BLOW_UP  # x is no state; the record ends with the one before
+            failure = BLOW_UP  # x is not valid; the record ends with the previous state
             break
         inputs.append(u)
         states.append(x)
@@ -77,5 +77,5 @@ def experiment(
 
 
 def _is_finite(values: Array) -> bool:
-    """Whether all of few numbers (n,) are finite; quicker than in NumPy."""
+    """Whether all of a few numbers (n,) are finite; faster than NumPy."""
     return all(map(math.isfinite, values.tolist()))

@@ -1,4 +1,4 @@
-"""Derivatives of a model by central differences, and the regulator of a linear one."""
+"""Linearisation of a model by central differences, and the regulator of a linear model."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from scipy.linalg import solve_discrete_are
 from simbias.core import FittedBias, Nominal, Task
 from simbias.core.records import Array
 
-# Of differences: of states in their units, of inputs over their limits. It is coarse, so that friction, which
-# is steep near rest, is not mistaken for damping.
+# Step of differences: of states in their units, of inputs relative to their limits. It is coarse, so that
+# friction, which is steep near rest, is not mistaken for damping.
 STEP = 0.1
 
 
 def input_scale(task: Task) -> Array:
-    """The inputs' limits (m,); one unit where there is none, as of a state."""
+    """The inputs' limits (m,); one unit if there is none, as for a state."""
     return np.where(np.isfinite(task.input_limit), task.input_limit, 1.0)
 
 
 def derivatives(function: Callable[[Array], Array], points: Array, steps: Array) -> Array:
-    """Derivatives (..., k, l) of a function (..., k) at points (..., l), by differences of steps (l,)."""
+    """Derivatives (..., k, l) of a function (..., k) at points (..., l), by differences with steps (l,)."""
     moved = np.diag(steps)
     ahead, behind = (function(points[..., None, :] + sign * moved) for sign in (1.0, -1.0))
     return np.swapaxes((ahead - behind) / (2 * steps[:, None]), -1, -2)
 
 
 def advanced(nominal: Nominal, bias: FittedBias, n: int, points: Array) -> Array:
-    """States and model state (..., l) of the corrected model after points (..., l+m), inputs being last."""
+    """States and model state (..., l) of the corrected model, a step after points (..., l+m), inputs last."""
     x, model_state, u = np.split(points, [n, n + nominal.state_size], axis=-1)
     after, kept = nominal.advance(x, u, model_state)
     return np.concatenate([after + bias.correction(x, nominal.acted(u, kept)), kept], axis=-1)
@@ -44,7 +44,7 @@ def linearization(nominal: Nominal, x: Array, u: Array, input_limit: Array) -> t
 
 
 def linear_regulator(A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array]:
-    """K (m, l) of u = -K s, which minimises the sum of s Q s + u R u, and S (l, l) of the sum s S s.
+    """K (m, l) of u = -K s, which minimises the sum of s Q s + u R u, and S (l, l) of the minimum s S s.
 
     LinAlgError or ValueError if there is none.
     """

@@ -1,4 +1,4 @@
-"""Noise and pushes, on hardware and in simulation (Section VI-A), and what sensors see before noise."""
+"""Noise and pushes, on hardware and in simulation (Section VI-A), and noise-free sensor readings."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from simbias.core.records import Array, Disturbance
 
 
 def without_zeros(values: dict[str, float]) -> dict[str, float]:
-    """Values by name that are not zero: a quantity without noise or offset need not be declared."""
+    """The nonzero values by name: a quantity without noise or offset need not be declared."""
     return {name: value for name, value in values.items() if value}
 
 
-# As in a config: `torque_variance: 0.1`, of a quantity or of all of a kind, in the square of its unit.
+# As in a config: `torque_variance: 0.1`, of a quantity or a kind, in the square of its unit.
 Variances = Annotated[dict[str, Variance], AfterValidator(without_zeros)]
 # `theta: 0.01`, of a quantity in its unit.
 Offsets = Annotated[dict[str, Coordinate], AfterValidator(without_zeros)]
@@ -27,14 +27,14 @@ QUIET: dict[str, float] = {}
 
 
 class Noise:
-    """Zero-mean Gaussian noise on a task's inputs and on what its policy sees of the states (Table II).
+    """Zero-mean Gaussian noise on a task's inputs and on the states that its policy sees (Table II).
 
     The task's pushes are added to the noise on the inputs. Targets have no noise: they are known.
 
     Parameters
     ----------
     variances
-        `<name>_variance` of a quantity, or `<kind>_variance` of all quantities of a kind that have no own.
+        `<name>_variance` of a quantity, or `<kind>_variance` of all other quantities of a kind.
 
     Raises
     ------
@@ -58,8 +58,8 @@ class Noise:
     def draw(self, rng: np.random.Generator) -> Disturbance:
         """Noise for a whole rollout.
 
-        The draws depend neither on the variances nor on when the rollout fails, so noise levels compare on
-        common random numbers.
+        The draws depend neither on the variances nor on when the rollout fails, so noise levels are compared
+        with common random numbers.
         """
         inputs = rng.standard_normal((self._horizon, len(self.input_variance)))
         sensors = rng.standard_normal((self._horizon + 1, len(self.sensor_variance)))
@@ -77,7 +77,7 @@ class Noise:
 
 
 class Sensor:
-    """Sees each state some frames late, and some quantities off by a constant.
+    """A sensor with a delay in frames, and constant offsets of some quantities.
 
     ValueError if the task has no state of that name.
     """
@@ -91,5 +91,5 @@ class Sensor:
         self._delay = delay
 
     def read(self, states: Sequence[Array], t: int) -> Array:
-        """The reading (n,) in frame t, of the t + 1 states (n,) so far; at first, of the start."""
+        """The reading (n,) in frame t, from the t + 1 states (n,) so far; initially, of the start."""
         return states[max(0, t - self._delay)] + self._offset

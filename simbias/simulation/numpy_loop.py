@@ -1,4 +1,4 @@
-"""Closed-loop rollouts in vectorised NumPy (Eq. 7, 9): for any components; the compiled loop's reference."""
+"""Closed-loop rollouts in vectorised NumPy (Eq. 7, 9), for any components; reference of the compiled loop."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from simbias.core import Cost, FittedBias, Model, failure_name
 from simbias.core.records import Array, Disturbance, Indices, Rollout
 
-MOST = 256  # rollouts side by side: their records take memory
+MOST = 256  # rollouts in lockstep; limited by the memory of their records
 
 
 def _in_numpy(bias: FittedBias, x: Array, u: Array) -> Array:
@@ -21,14 +21,14 @@ def _in_numpy(bias: FittedBias, x: Array, u: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class PlainSimulator:
-    """The closed loop in NumPy, in one scenario or in several, which share task and policy.
+    """The closed loop in NumPy, in one or several scenarios that share task and policy.
 
-    All rollouts of a call are stepped together; those that have ended drop out.
+    All rollouts of a call are stepped in lockstep; those that have ended drop out.
     """
 
-    models: Sequence[Model]  # of each scenario
+    models: Sequence[Model]  # one per scenario
     disturbances: Sequence[Disturbance | None]
-    correct: Callable[[FittedBias, Array, Array], Array] = _in_numpy  # what a bias adds to each row
+    correct: Callable[[FittedBias, Array, Array], Array] = _in_numpy  # the correction of a bias, for each row
 
     def rollout(self, theta: Array, start: Array) -> Rollout:
         """Run theta (p,) from start (n,) to failure or horizon, in the first scenario."""
@@ -49,7 +49,7 @@ class PlainSimulator:
         """Costs (k,) of these rollouts, and their frames (k,)."""
         return costs_of(cost, self.rollouts(thetas, starts, scenarios))
 
-    @np.errstate(all="ignore")  # what overflows is not finite, and has failed
+    @np.errstate(all="ignore")  # an overflow is not finite, and counts as failed
     def _together(self, thetas: Array, starts: Array, scenarios: Indices) -> list[Rollout]:
         """Rollouts in lockstep, frame by frame."""
         task, policy, k = self.models[0].task, self.models[0].policy, len(thetas)
@@ -77,10 +77,10 @@ class PlainSimulator:
         return [record(task.criteria, x, u, *end) for x, u, end in zip(states, inputs, ends, strict=True)]
 
     def _noise(self, x: Array, scenarios: Indices, t: int) -> tuple[Array, Array | float]:
-        """Measurements (k, n) of x (k, n), and the disturbance (k, m) of the inputs, 0 without noise."""
+        """Measurements (k, n) of x (k, n), and the disturbance (k, m) of the inputs; 0 without noise."""
         noise = [disturbance for disturbance in self.disturbances if disturbance is not None]
         if not noise:
-            return x.copy(), 0.0  # a policy may write into it
+            return x.copy(), 0.0  # a policy may overwrite it
         sensors, inputs = np.array([d.sensors[t] for d in noise]), np.array([d.inputs[t] for d in noise])
         return x + sensors[scenarios], inputs[scenarios]
 
@@ -101,7 +101,7 @@ class PlainSimulator:
 
 
 def _rows_of(parts: Sequence, scenarios: Indices) -> Iterator[tuple[Any, Any]]:
-    """Parts of models, each once, and the rows that are simulated with it."""
+    """Parts of models, each once, with the rows that are simulated with it."""
     if all(part is parts[0] for part in parts):
         yield parts[0], slice(None)
     else:
@@ -114,13 +114,13 @@ def costs_of(cost: Cost, rollouts: Sequence[Rollout]) -> tuple[Array, Indices]:
     frames = np.array([rollout.frames for rollout in rollouts], dtype=np.int64)
     costs = [cost.of(rollout) for rollout in rollouts]
     for got in costs:
-        if np.shape(got) or not np.isfinite(got):  # np.array([1.0]) is no number
+        if np.shape(got) or not np.isfinite(got):  # np.array([1.0]) is not a number
             raise ValueError(f"{type(cost).__name__}.of: expected a finite number, got {got}")
     return np.array(costs), frames
 
 
 def shaped(name: str, given: Any, *shape: int) -> Array:
-    """An argument as floats of this shape: compiled loops read past the end of what is shorter."""
+    """Check an argument's shape, as floats: compiled loops would read past the end of shorter arrays."""
     values = np.asarray(given, dtype=np.float64, order="C")
     if values.shape != shape:
         raise ValueError(f"{name}: expected the shape {shape}, got {values.shape}")
@@ -128,7 +128,7 @@ def shaped(name: str, given: Any, *shape: int) -> Array:
 
 
 def record(criteria: Sequence, states: Array, inputs: Array, frames: int, violated: int) -> Rollout:
-    """The record of a rollout that criterion `violated` ended after `frames` frames; by the horizon if -1."""
+    """The record of a rollout ended after `frames` frames by criterion `violated`, or the horizon if -1."""
     states, inputs = states[: frames + 1], inputs[:frames]
     if violated < 0:
         return Rollout(states, inputs)

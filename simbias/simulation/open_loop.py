@@ -1,8 +1,8 @@
 """Predictions of recorded experiments under their recorded inputs, many models in lockstep.
 
 Every experiment is one long pass. At the beginning of each window the state is reset to the recorded one,
-perhaps smoothed; what the state does not show, the model state, runs on. What comes out are means over
-chunks of successive frames: they hold what single noisy frames say, in fewer numbers.
+possibly smoothed; the model state continues. The results are means over chunks of successive frames: they
+condense the information of single noisy frames into fewer numbers.
 """
 
 from __future__ import annotations
@@ -25,33 +25,32 @@ from simbias.simulation.compiler import (
     points_among,
 )
 
-REST = 1e-9  # of a state's standard deviation: what interpolation leaves of an encoder that stands still
-SOME = 5  # frames that tell whether a model remembers states
+REST = 1e-9  # of a state's standard deviation: residue of interpolation for an encoder at rest
+SOME = 5  # frames used to test whether a model remembers states
 
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """Recorded experiments, cut into w windows of `window` frames, and these into J chunks of `chunk` frames.
+    """Recorded experiments, cut into w windows of `window` frames, each into J chunks of `chunk` frames.
 
-    Windows are counted from the end, so that the last frames, where a falling robot is fastest, are always
-    within one. What is left over at the beginning is no window: it only fills the state of models that have
-    one.
+    Windows are counted from the end, so that the last frames, where a falling robot is fastest, are always in
+    one. Frames left over at the beginning only initialise the model state.
     """
 
-    states: Array  # (F, n), of all experiments
+    states: Array  # (F, n), of all experiments, concatenated
     inputs: Array  # (F, m)
-    firsts: Indices  # (r,) frame in which the windows of each experiment begin
-    leads: Indices  # (r,) frames of each experiment before that
-    frames: Indices  # (r,) and after that: whole windows
+    firsts: Indices  # (r,) frame where the windows of each experiment begin
+    leads: Indices  # (r,) frames of each experiment before it
+    frames: Indices  # (r,) frames of each experiment after it: whole windows
     window: int
     chunk: int
-    noise: Array | float = 0.0  # (n,) standard deviations of the states' measurements, as far as known
-    smoothed: Array | None = None  # (F, n) states in which predictions begin; by default those recorded
-    recordings: Indices | None = None  # (r,) that experiments are pieces of; by default each is one
+    noise: Array | float = 0.0  # (n,) standard deviations of measurement noise, as far as known
+    smoothed: Array | None = None  # (F, n) states at which predictions begin; default: the recorded ones
+    recordings: Indices | None = None  # (r,) recording of each experiment; by default each is its own
 
     @staticmethod
     def of(rollouts: Sequence[Rollout], window: int, chunk: int, noise: Array | float = 0.0) -> Windows:
-        """Windows of a whole number of chunks; what came before a rollout leads to its first one."""
+        """Windows of a whole number of chunks; frames before a rollout lead to its first window."""
         window = max(1, round(window / chunk)) * chunk
         states, sent = zip(*(rollout.with_history() for rollout in rollouts), strict=True)
         inputs = [np.pad(each, ((0, 1), (0, 0))) for each in sent]
@@ -75,7 +74,7 @@ class Windows:
 
     @property
     def begin(self) -> Array:
-        """States (F, n) in which predictions would begin."""
+        """States (F, n) at which predictions may begin."""
         return self.states if self.smoothed is None else self.smoothed
 
     @property
@@ -85,13 +84,13 @@ class Windows:
 
     @property
     def starts(self) -> Indices:
-        """The row (w,) in which each window begins."""
+        """The row (w,) at which each window begins."""
         each = zip(self.firsts, self.frames, strict=True)
         return np.concatenate([first + np.arange(0, k, self.window) for first, k in each])
 
     @cached_property
     def moving(self) -> Flags:
-        """Whether (w,) a state changes within a window; all windows where none does."""
+        """Whether (w,) a state changes within a window; if in none, all windows count as moving."""
         rows = self.starts[:, None] + np.arange(self.window + 1)
         changes = np.ptp(self.states[rows], axis=1) > REST * np.std(self.states, axis=0)
         moving = changes.any(axis=1)
@@ -99,19 +98,19 @@ class Windows:
 
     @property
     def apart(self) -> Windows:
-        """The same windows, each an experiment of its own: nothing is before it."""
+        """The same windows, each as a separate experiment without earlier frames."""
         w, starts = len(self), self.starts
         leads, frames = np.zeros(w, np.int64), np.full(w, self.window)
         return replace(self, firsts=starts, leads=leads, frames=frames, recordings=None)
 
     @property
     def rows(self) -> list[slice]:
-        """The rows of each experiment, but the last, after which nothing is predicted."""
+        """The rows of each experiment except the last, after which nothing is predicted."""
         bounds = zip(self.firsts, self.leads, self.frames, strict=True)
         return [slice(first - lead, first + frames) for first, lead, frames in bounds]
 
     def acted(self, nominal: Nominal) -> Array:
-        """Inputs (F, m) that a bias of the model is a function of (`Nominal.acted`)."""
+        """Inputs (F, m) that a bias of the model depends on (`Nominal.acted`)."""
         acted = self.inputs.copy()
         for rows in self.rows:
             acted[rows] = nominal.acted_along(self.states[rows], self.inputs[rows])
@@ -119,7 +118,7 @@ class Windows:
 
     @property
     def means(self) -> Array:
-        """Means (w, J, n) of the recorded states over each chunk: the first one's are x_1 to x_chunk."""
+        """Means (w, J, n) of the recorded states over each chunk, the first from x_1 to x_chunk."""
         rows = self.starts[:, None] + np.arange(1, self.window + 1)
         return self._chunked(self.states[rows])
 
@@ -131,14 +130,14 @@ class Windows:
 
 @dataclass(frozen=True, eq=False)
 class PredictionModel:
-    """A model that experiments are predicted with."""
+    """A model for the prediction of experiments."""
 
     nominal: Nominal
     offset: Array | None = None  # (n,) added to the state at the beginning of each window
 
 
 def predict(models: Sequence[PredictionModel], windows: Windows, bias: FittedBias | None = None) -> Array:
-    """Means (k, w, J, n) over each chunk as each of k models predicts it; they share the bias."""
+    """Means (k, w, J, n) over each chunk, predicted by k models that share the bias."""
     if not len(windows):
         return np.zeros((len(models), *windows.means.shape))
     n, points = windows.states.shape[1], partial(points_among, windows.states, windows.inputs)
@@ -154,7 +153,7 @@ def predict(models: Sequence[PredictionModel], windows: Windows, bias: FittedBia
 
 
 def _remembers_states(nominal: Nominal, windows: Windows) -> bool:
-    """Whether a model's memory follows from states: compiled, it would from predicted, not recorded ones."""
+    """Whether a model's memory depends on states; a compiled loop would use predicted, not recorded ones."""
     if not nominal.state_size:
         return False
     x, u = windows.states[:SOME], windows.inputs[:SOME]
@@ -164,18 +163,18 @@ def _remembers_states(nominal: Nominal, windows: Windows) -> bool:
 def _compiled(
     windows: Windows, step: Kernel, correct: Kernel, offsets: Array, nominal: Nominal | None = None
 ) -> Array:
-    """Means (k, w, J, n) of k models, by kernels: in lanes and threads."""
+    """Means (k, w, J, n) of k models, by kernels in lanes and threads."""
     n, m = windows.states.shape[1], windows.inputs.shape[1]
     memory = (nominal.state_size, nominal.acting) if nominal else (0, ())
     if not memory[0]:
-        windows = windows.apart  # for all lanes and threads
+        windows = windows.apart  # to use all lanes and threads
     chunks = windows.frames // windows.chunk
     means = np.empty((len(offsets), chunks.sum(), n))
     loop = partial(
         compile_open_loop(Function.of(step), Function.of(correct), n, m, *memory),
         *(windows.window, windows.chunk, step.parameters, correct.parameters, offsets),
         *(windows.firsts, windows.leads, windows.frames, np.cumsum(chunks) - chunks),
-        *map(np.ascontiguousarray, (windows.begin, windows.inputs)),  # else another loop is compiled
+        *map(np.ascontiguousarray, (windows.begin, windows.inputs)),  # otherwise another loop is compiled
         means,
     )
     in_threads(loop, len(offsets) * len(windows.firsts))
@@ -185,7 +184,7 @@ def _compiled(
 def corrections(bias: FittedBias, x: Array, u: Array) -> Array:
     """Corrections (k, n) of a bias at x (k, n), u (k, m); compiled if it has a kernel with linear algebra.
 
-    Compiled, they are predictions of a model whose steps are zero, of k experiments of one frame.
+    When compiled, they are predictions of k one-frame experiments by a model with zero steps.
     """
     if bias.kernel is None or not Function.of(bias.kernel).takes_all_lanes:
         return bias.correction(x, u)
@@ -202,7 +201,7 @@ def plain(models: Sequence[PredictionModel], windows: Windows, bias: FittedBias 
 
 
 def _plain(model: PredictionModel, windows: Windows, bias: FittedBias | None) -> Array:
-    """Predictions of one model, all windows side by side."""
+    """Predictions of one model, all windows in lockstep."""
     nominal, starts = model.nominal, windows.starts
     x = windows.begin[starts] + (0.0 if model.offset is None else model.offset)
     model_state, made = model_states(nominal, windows), np.empty((len(starts), windows.window, x.shape[1]))
@@ -216,7 +215,7 @@ def _plain(model: PredictionModel, windows: Windows, bias: FittedBias | None) ->
 
 
 def model_states(nominal: Nominal, windows: Windows) -> Array:
-    """The model state (w, s) at the beginning of each window: what the inputs before leave in it."""
+    """The model state (w, s) at the beginning of each window, from the earlier inputs."""
     kept = np.zeros((len(windows.states), nominal.state_size))
     if nominal.state_size:
         for rows in windows.rows:

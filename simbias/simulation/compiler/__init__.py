@@ -1,8 +1,8 @@
-"""Components in NumPy are traced, written for Numba and run in the lanes of vector registers.
+"""The compiler: traces components in NumPy, writes them for Numba, and runs them in SIMD lanes.
 
-Everything that others use of it is imported from here.
+Everything used elsewhere is imported from here.
 
-| what for | from |
+| purpose | modules |
 | --- | --- |
 | components that have a kernel, or are fast in NumPy | `kernels`, `choices`, `trigonometry` |
 | compiling | `compilation` |
@@ -14,7 +14,7 @@ Everything that others use of it is imported from here.
 | the loops that run them | `closed_loop`, `open_loop`, `loop`, `threads` |
 """
 
-# ruff: noqa: F401  (what others import)
+# ruff: noqa: F401  (names for others to import)
 
 from simbias.simulation.compiler.agreement import points_among, points_of
 from simbias.simulation.compiler.choices import at_least, at_most

@@ -1,4 +1,4 @@
-"""Whether what was written down gives the numbers of the method that it was traced from, at some points."""
+"""Checks that a traced kernel gives the same numbers as its method, at some points."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from simbias.simulation.compiler.symbols import TraceError
 
 ROWS = 32  # of points
 AGREEMENT = 1e-9  # relative, between a traced kernel and the method
-FRAMES = 100  # over which a policy with a state is held against its kernel
+FRAMES = 100  # over which a policy with a state is compared with its kernel
 OTHERWISE = "what was written down gives other numbers"
 MIXED = "for several rollouts at once it gives other numbers than for each"
-FARTHEST = 1e3  # state from which a policy begins anew there: of larger angles, sines are those of rounding
+FARTHEST = 1e3  # beyond this policy state, it is reset: sines of larger angles are mere rounding
 
 Points = Callable[[], tuple[Array, Array]]  # draws states (ROWS, n) and inputs (ROWS, m)
 
 
 def points_of(task: Task) -> tuple[Array, Array]:
-    """States around the start, farther away and at what criteria allow; inputs within, at, beyond limits."""
+    """States near the start, farther away and at criteria's limits; inputs within, at and beyond limits."""
     rng, n = np.random.default_rng(0), len(task.start_mean)
     near = task.start_deviation * rng.standard_normal((ROWS, n))
     far = rng.standard_normal((ROWS, n)) * np.repeat([0.0, 0.1, 1.0, 0.0], ROWS // 4)[:, None]
@@ -40,7 +40,7 @@ def points_of(task: Task) -> tuple[Array, Array]:
 
 
 def points_among(states: Array, inputs: Array) -> tuple[Array, Array]:
-    """States and inputs among those of a record, and a little off them."""
+    """States and inputs at and near those of a record."""
     rng = np.random.default_rng(0)
     some = rng.integers(0, len(states), ROWS)
     off = 1.0 + 0.1 * rng.standard_normal((ROWS, 1))
@@ -48,7 +48,7 @@ def points_among(states: Array, inputs: Array) -> tuple[Array, Array]:
 
 
 def compare(method: Callable, arguments: Sequence[Array], made: Sequence[Sequence[Any]]) -> None:
-    """Raise unless the method gives these vectors, the same ones twice, and most of them are finite."""
+    """Raise unless the method returns these vectors, twice the same, mostly finite."""
     first, again = (method(*(each.copy() for each in arguments)) for _ in range(2))
     if len(made) == 1:
         first, again = (first,), (again,)
@@ -69,7 +69,7 @@ def compare(method: Callable, arguments: Sequence[Array], made: Sequence[Sequenc
 
 
 def _unlike(traced: Array, expected: Array) -> Indices:
-    """Those of the rows (k, r) that do not agree."""
+    """Indices of the rows (k, r) that do not agree."""
     size = np.max(np.abs(expected), axis=0, initial=0.0, where=np.isfinite(expected))
     close = np.isclose(traced, expected, AGREEMENT, 1e-3 * AGREEMENT * size, equal_nan=True)
     return np.flatnonzero(~close.all(axis=1))
@@ -78,8 +78,8 @@ def _unlike(traced: Array, expected: Array) -> Indices:
 def compare_frames(act: Callable, traced: Callable, x: Array, state_size: int) -> None:
     """Raise unless policies (ROWS, p) and their kernel, both of (x, t, state), agree in many frames.
 
-    Each frame begins with the state that the policies arrived at: a law may amplify what is rounded. One that
-    diverges, as a filter at states that no robot meets, begins anew.
+    Each frame begins with the state that the policies computed, because a law may amplify rounding errors. A
+    diverging state, such as that of a filter at unrealistic states, is reset.
     """
     rng, state = np.random.default_rng(3), np.zeros((ROWS, state_size))
     for frame in range(FRAMES):

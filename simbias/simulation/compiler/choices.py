@@ -1,4 +1,4 @@
-"""Choices between two numbers, which compiled code makes without branches, and NumPy element by element."""
+"""Choices between two numbers: without branches in compiled code, elementwise in NumPy."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from simbias.simulation.compiler.compilation import compiled_as
 
 
 def _choice(of_arrays: Callable) -> Callable[[Callable], Callable]:
-    """Let a function of numbers be NumPy's of arrays where it is not compiled."""
+    """Decorate a function of numbers so that, uncompiled, it is NumPy's function of arrays."""
 
     def choice(of_numbers: Callable) -> Callable:
         return compiled_as(of_numbers)(lambda *values: of_arrays(*values))

@@ -9,11 +9,10 @@ from typing import Any
 from simbias.simulation.compiler.kernels import LANES
 from simbias.simulation.compiler.loop import Function, Loop, assign, sum_of, tuple_of
 
-# Policy parameters are (k, r) or, of policies that look a table up, (k, r + 1 + K c): the seconds between its
-# rows, and the rows.
-# Noise is (w (T+1), m+n), scenarios (k,), starts (k, n). Filled are: states (k, T+1, n) and inputs (k, T, m),
-# or neither; the cost's final_totals (k, s); frames (k,), and the criterion (k,) that each rollout violated,
-# -1 at the horizon.
+# Policy parameters are (k, r) or, for policies with a lookup table, (k, r + 1 + K c): the seconds between its
+# rows, and the rows. Noise is (w (T+1), m+n), scenarios (k,), starts (k, n). Outputs are: states (k, T+1, n)
+# and inputs (k, T, m), or neither; the cost's final_totals (k, s); frames (k,), and the criterion (k,) that
+# each rollout violated, -1 at the horizon.
 ARGUMENTS = """\
 horizon, time_step, limits, measure_parameters, policy_constants, policy_parameters,
 nominal_parameters, bias_parameters, cost_parameters, noise, scenarios, starts,
@@ -71,7 +70,7 @@ frame[lane] += 0 if stop else 1
 ended += running[lane] if stop else 0"""
 
 
-REDUCTIONS = {  # nan is left out
+REDUCTIONS = {  # nan is ignored
     "sum": "{0} + ({1} if {1} == {1} else 0.0)",
     "max": "max({0}, {1})",
 }
@@ -79,29 +78,29 @@ REDUCTIONS = {  # nan is left out
 
 @dataclass(frozen=True)
 class LoopKernels:
-    """Kernels that close a loop, and the sizes of what they take."""
+    """Kernels of a closed loop, and the sizes of their arguments."""
 
     measure: Function
-    control: Function  # its parameters are those that all policies share
+    control: Function  # its parameters are shared by all policies
     step: Function
     correct: Function
-    terms: Function | None  # of a cost; without them, nothing is summed up
+    terms: Function | None  # of a cost; None: nothing is accumulated
     n: int  # states
     m: int  # inputs
     criteria: int
-    policy_parameters: int  # of each policy, that are read one by one
-    columns: int  # of a table that it looks up by the time
+    policy_parameters: int  # number per policy, read one by one
+    columns: int  # of a policy's table, looked up by time
     n_policy_state: int
     n_model_state: int
     reductions: tuple[str, ...]  # of the cost's terms
     noisy: bool
-    acting: tuple[int, ...] = ()  # of the nominal model, for its bias
-    targets: int = 0  # the last of the states
+    acting: tuple[int, ...] = ()  # entries of the nominal model's state, for its bias
+    targets: int = 0  # number of targets, the last of the states
 
 
 @lru_cache(maxsize=64)
 def compile_closed_loop(c: LoopKernels) -> Any:
-    """The composition's loop, ready to be called."""
+    """The compiled loop of a composition, ready to be called."""
     sizes = {"n": c.n, "m": c.m, "policy": c.policy_parameters, "n_policy_state": c.n_policy_state}
     sizes |= {"n_cost_terms": len(c.reductions), "columns": c.columns}
     functions = {"measure": c.measure, "control": c.control, "step": c.step, "correct": c.correct}
@@ -140,7 +139,7 @@ def compile_closed_loop(c: LoopKernels) -> Any:
 
 
 def _advanced(c: LoopKernels) -> list[str]:
-    """From the state to the input that acts; a rollout that ends is not stepped any further."""
+    """Lines from the state to the acting input; a rollout that has ended is not stepped further."""
     total = sum_of([f"x_[{i}]" for i in range(c.n)])
     judge = [f"failed = -1 if abs({total}) < inf else {c.criteria}"]  # criteria need not read all states
     judge += [f"failed = failed if measures[{i}] <= limit[{i}] else {i}" for i in reversed(range(c.criteria))]
@@ -165,7 +164,7 @@ def _advanced(c: LoopKernels) -> list[str]:
 
 
 def _settled(c: LoopKernels) -> list[str]:
-    """The cost's terms are summed up; a rollout that ends here ends with the totals before."""
+    """Lines that accumulate the cost's terms; a rollout that ends here keeps the totals before."""
     if not c.terms:
         return []
     s, command = len(c.reductions), tuple_of("command[{}, lane]", c.m)

@@ -1,10 +1,10 @@
-"""Ordinary Python functions, compiled with all that they call and kept on disk under the hash of all of it.
+"""Compilation of Python functions with all that they call, cached on disk by a hash of everything.
 
-A cache entry is found by what it was made of: the bytecode of every function involved, the constants that
-these read, also from the user's own modules, and the versions of Python, Numba and libraries. So nothing goes
-stale when any of it changes, wherever it is written, and nothing is compiled twice. (Numba's own cache
-notices changes in the file of a function, but not in the functions that it calls.) The folder of the cache
-may be deleted at any time.
+A cache entry is identified by its inputs: the bytecode of every function involved, the constants they read
+(also from the user's own modules), and the versions of Python, Numba and libraries. An entry therefore never
+goes stale when any of these changes, wherever it is defined, and nothing is compiled twice. (Numba's own
+cache notices changes in the file of a function, but not in the functions that it calls.) The folder of the
+cache may be deleted at any time.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ from simbias.core.error_origin import is_users
 if TYPE_CHECKING:
     from hashlib import _Hash as _Digest
 
-# A product and a sum may become one instruction. Nothing may assume that numbers are finite: a rollout that
-# blows up ends because its state is not finite.
+# A product and a sum may become one instruction. Finite numbers must not be assumed: a diverging rollout ends
+# because its state is not finite.
 OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract", "nsz"}}
-# Of functions that only compiled code calls: entry points for Python take up to a third of compiling.
+# For functions that only compiled code calls: entry points for Python take up to a third of compile time.
 NOT_FROM_PYTHON: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 VERSIONS = (sys.version, numba.__version__, llvmlite.__version__, __name__)
 
 
 def _use_whole_registers() -> None:
-    """Let LLVM use vector registers in full, unless the user has told Numba what the processor can.
+    """Let LLVM use the full width of vector registers, unless the user has configured Numba's processor.
 
-    Of many Intel processors it uses half of each, since old ones slow down otherwise. On newer ones, the
-    closed loop then takes up to a third more time. Numbers stay the same.
+    On many Intel processors it uses only half, since old ones slow down otherwise. On newer ones, this makes
+    the closed loop up to a third slower. The numbers are the same.
     """
     settings: Any = numba.config  # whose attributes no type checker knows
     if settings.CPU_NAME is None and settings.CPU_FEATURES is None:
@@ -58,7 +58,7 @@ _Function = TypeVar("_Function", bound=Callable)
 
 
 def compiled_as(substitute: Callable) -> Callable[[_Function], _Function]:
-    """Let compiled code call `substitute` where a function is called that is written for NumPy's arrays."""
+    """Decorate a function for NumPy arrays so that compiled code calls `substitute` instead."""
 
     def mark(function: _Function) -> _Function:
         function.substitute = substitute  # type: ignore[attr-defined]
@@ -71,9 +71,9 @@ _FUNCTIONS: dict[tuple[str, str], Callable] = {}
 
 
 def function_of(text: str, name: str, **names: Any) -> Callable:
-    """The function that a text defines, in which these names have a meaning; of the same text, the same one.
+    """The function that a text defines, given these names; the same text gives the same function.
 
-    Nothing in it may be a config's: see `simbias.simulation.compiler.expressions`.
+    The text must not contain anything from a config: see `simbias.simulation.compiler.expressions`.
     """
     key = (text, name)
     if key not in _FUNCTIONS:
@@ -83,11 +83,11 @@ def function_of(text: str, name: str, **names: Any) -> Callable:
     return _FUNCTIONS[key]
 
 
-_DISPATCHERS: dict[str, Any] = {}  # by the hash of all that they do, so that each is compiled once
+_DISPATCHERS: dict[str, Any] = {}  # by the hash of their contents, so that each is compiled once
 
 
 class Compilation:
-    """Functions to be compiled together; their hash."""
+    """Functions to be compiled together, and their hash."""
 
     def __init__(self) -> None:
         self._digest = hashlib.sha256()
@@ -95,10 +95,10 @@ class Compilation:
         _note(self._digest, *VERSIONS, *OPTIONS, *OPTIONS.values())
 
     def compiled(self, function: Callable, inline: bool = True) -> Any:
-        """A function that only compiled code can call, into which it is copied if it is `inline`.
+        """A function that only compiled code can call; if `inline`, it is copied into its callers.
 
-        If it is not, LLVM decides by the kind of processor; so that this changes no number, its products then
-        stay products, where no intrinsic says otherwise.
+        Otherwise LLVM decides, depending on the processor. To keep the numbers the same, products are then
+        not fused with sums, except by intrinsics.
         """
         digest, dispatcher, _ = self._hashed(function, inline)
         _note(self._digest, digest)
@@ -106,11 +106,11 @@ class Compilation:
 
     @property
     def digest(self) -> str:
-        """The hash of what there is so far."""
+        """The hash of the functions so far."""
         return self._digest.hexdigest()[:24]
 
     def module(self, text: str, **names: Any) -> ModuleType:
-        """A module of this text, in which these names have a meaning; in a file of the cache."""
+        """A module with this text, given these names, in a file of the cache."""
         _note(self._digest, text, sorted(names))
         name = f"simbias_{self.digest}"
         if name not in sys.modules:
@@ -120,11 +120,11 @@ class Compilation:
             module = ModuleType(name)
             vars(module).update(names, __file__=str(file))
             exec(compile(text, file, "exec"), vars(module))
-            sys.modules[name] = module  # where Numba looks for the globals of what it finds in its cache
+            sys.modules[name] = module  # Numba looks here for the globals of cached functions
         return sys.modules[name]
 
     def _hashed(self, function: Callable, inline: bool) -> tuple[str, Any, Callable]:
-        """The hash of a function and of all that it calls, it compiled, and the function itself."""
+        """The hash of a function and all that it calls, the compiled function, and the function itself."""
         function = getattr(function, "substitute", function)
         function = function.py_func if is_jitted(function) else function
         key = id(function)
@@ -147,14 +147,14 @@ class Compilation:
         closure = tuple(CellType(self._value(cell.cell_contents, names, inline, digest)) for cell in cells)
         _note(digest, inline, function.__name__, *_description(code))
         self._value(function.__defaults__, names, inline, digest)
-        # Compiled code is loaded with the module of each function in it: with this one, wherever that is.
+        # Compiled code is loaded with the module of each function in it: with this one, wherever it lies.
         linked |= {"__builtins__": __builtins__, "__name__": __name__}
         copy = FunctionType(code, linked, function.__name__, function.__defaults__, closure)
-        copy.__qualname__ = f"{function.__name__}_{digest.hexdigest()[:16]}"  # names its machine code
+        copy.__qualname__ = f"{function.__name__}_{digest.hexdigest()[:16]}"  # the name of its machine code
         return copy, digest.hexdigest()
 
     def _value(self, value: Any, names: set[str], inline: bool, digest: _Digest) -> Any:
-        """The object that a name stands for in code that reads these names, noted in the digest."""
+        """The object that a global name stands for in compiled code, added to the digest."""
         if isinstance(value, FunctionType) or is_jitted(value):
             hashed, value, _ = self._hashed(value, inline)
             _note(digest, hashed)
@@ -185,7 +185,7 @@ def _note(digest: _Digest, *values: Any) -> None:
 
 
 def _names(code: CodeType) -> Iterator[str]:
-    """The global names that code reads, and its attributes' names."""
+    """The names of globals and attributes that code reads."""
     yield from code.co_names
     for constant in code.co_consts:
         if isinstance(constant, CodeType):
@@ -206,7 +206,7 @@ def _folder() -> Path:
 
 
 def _write(file: Path, text: str) -> None:
-    """Write a file at once, and as if it had always been there: Numba trusts a file by its time."""
+    """Write a file atomically with a fixed old time stamp: Numba checks files by their time."""
     with tempfile.NamedTemporaryFile("w", dir=file.parent, suffix=".py", delete=False) as new:
         new.write(text)
     os.utime(new.name, (1e9, 1e9))

@@ -1,7 +1,8 @@
 """Expressions of a config, such as `length * cos(angle)`, in NumPy.
 
-A config may be somebody else's, so nothing of it is ever run. It is parsed, held against a short list of
-what an expression may be made of, and becomes a function of NumPy's arrays, whose trace joins compiled loops.
+A config may come from somebody else, so nothing in it is ever executed. An expression is parsed, checked
+against a short list of allowed parts, and turned into a function of NumPy arrays, whose trace joins compiled
+loops.
 """
 
 from __future__ import annotations
@@ -20,11 +21,11 @@ from pydantic import BeforeValidator, Field
 from simbias.core.messages import quote
 from simbias.core.records import Array
 
-LENGTH, DEPTH = 1000, 60  # of an expression: characters, and parts within parts
+LENGTH, DEPTH = 1000, 60  # of an expression: characters, and nesting depth
 
 
 def _as_text(value: Any) -> Any:
-    """A number of a config, as an expression."""
+    """A number from a config, as an expression."""
     return repr(value) if isinstance(value, int | float) and not isinstance(value, bool) else value
 
 
@@ -52,18 +53,18 @@ class Expressions:
     Parameters
     ----------
     expressions
-        Their texts, by name: what is computed of x (..., n), in this order.
+        Their texts by name: the quantities computed from x (..., n), in this order.
     variables
-        What the components of x are called.
+        The names of the components of x.
     constants
         Names that stand for numbers.
     where
-        Names that stand for expressions, which may use those before them.
+        Names that stand for expressions, which may use earlier ones.
 
     Raises
     ------
     ValueError
-        If an expression uses what it may not; in one line that names it.
+        If an expression uses something not allowed; the message names it in one line.
     """
 
     def __init__(
@@ -79,7 +80,7 @@ class Expressions:
 
     def __call__(self, x: Array) -> Array:
         """Their values (..., k) at x (..., n)."""
-        with np.errstate(all="ignore"):  # what overflows is not finite, and has failed
+        with np.errstate(all="ignore"):  # an overflow is not finite, and counts as failed
             known = [x[..., index] for index in range(x.shape[-1])]
             for value in self._where:
                 known.append(value(known))
@@ -89,22 +90,22 @@ class Expressions:
         return rows
 
 
-Value = Callable[[Sequence[Any]], Any]  # of the variables (...), and of what has a name after them
+Value = Callable[[Sequence[Any]], Any]  # of the variables (...), then of named expressions
 
 
 class _Parser:
-    """Makes functions of expressions."""
+    """Turns expressions into functions."""
 
     def __init__(self, constants: Mapping[str, float], variables: Sequence[str]) -> None:
         self._names: dict[str, Value] = {}
-        self._count = 0  # of what is known when expressions are computed
+        self._count = 0  # number of values known when expressions are computed
         for name in variables:
             self._add_next(name)
         for name, value in constants.items():
             self._add(name, _number(value))
 
     def define(self, name: str, text: str) -> Value:
-        """An expression whose name those after it may use."""
+        """Parse an expression whose name later ones may use."""
         value = self.parse(name, text)
         self._add_next(name)
         return value
@@ -123,20 +124,20 @@ class _Parser:
             raise ValueError(f"{name}: {quote(text)}: {error}") from error
 
     def _add_next(self, name: str) -> None:
-        """Let a name mean what is known next."""
+        """Let a name stand for the next known value."""
         self._add(name, operator.itemgetter(self._count))
         self._count += 1
 
     def _add(self, name: str, value: Value) -> None:
-        """Let a name have a meaning."""
+        """Define a name."""
         if name.isidentifier():
-            name = unicodedata.normalize("NFKC", name)  # as Python does in expressions: µ of a keyboard is μ
+            name = unicodedata.normalize("NFKC", name)  # as in Python's expressions: a keyboard's µ becomes μ
         if name in self._names:
             raise ValueError(f"{name}: two things have this name")
         self._names[name] = value
 
     def _node(self, node: ast.AST) -> Value:
-        """A part of an expression."""
+        """The value of a part of an expression."""
         match node:
             case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
                 return _number(value)
@@ -158,7 +159,7 @@ class _Parser:
         raise _NotAllowedError(f"{ast.unparse(node)} is not allowed; an expression may use {ALLOWED}")
 
     def _call(self, name: str, arguments: list[Value]) -> Value:
-        """A call of one of the functions that there are."""
+        """A call of one of the allowed functions."""
         if name in OF_MANY and len(arguments) >= 2:
             return reduce(lambda a, b: _applied(OF_MANY[name], a, b), arguments)
         functions = {1: OF_ONE, 2: OF_TWO}.get(len(arguments), {})
@@ -170,7 +171,7 @@ class _Parser:
 
 
 def _number(value: float) -> Value:
-    """A finite number, as a value of no variables."""
+    """A finite number as a constant value."""
     number = np.float64(value)
     if not math.isfinite(number):
         raise _NotAllowedError("numbers have to be finite")
@@ -178,14 +179,14 @@ def _number(value: float) -> Value:
 
 
 def _applied(function: Callable, *operands: Value) -> Value:
-    """A function of values."""
+    """A function applied to values."""
     return lambda known: function(*(operand(known) for operand in operands))
 
 
 def _depth(node: ast.AST) -> int:
-    """The depth to which parts are nested."""
+    """The nesting depth of an expression's parts."""
     return 1 + max(map(_depth, ast.iter_child_nodes(node)), default=0)
 
 
 class _NotAllowedError(Exception):
-    """An expression uses a part that is not allowed; the message says what is."""
+    """An expression uses a part that is not allowed; the message says what is allowed."""

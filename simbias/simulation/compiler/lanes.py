@@ -1,9 +1,9 @@
-"""Numbers of sixteen rollouts that run in lockstep, one in each lane of a vector register.
+"""Numbers of sixteen rollouts in lockstep, one in each lane of a vector register.
 
 A type for compiled functions: `load` and `store` move a row of an array, `everywhere` fills all lanes with
-a number, `broadcast` with an element of an array, and `+`, `-`, `*` act lane by lane. What a lane gives does
-not depend on the others. Without it, the compiler keeps sums in memory, or vectorises them over the samples,
-and adds up at the end of each.
+a number, `broadcast` with an element of an array, and `+`, `-`, `*` act lane by lane. The result in a lane
+does not depend on the others. Without this type, the compiler keeps sums in memory, or vectorises them over
+the samples and reduces each at its end.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ ROWS = float32[:, ::1]
 LINE = float32[::1]
 _FLOATS = ir.VectorType(ir.FloatType(), LANES)
 _INTEGERS = ir.VectorType(ir.IntType(32), LANES)
-intrinsic: Any = extending.intrinsic  # its annotations count the context as an argument of the call
+intrinsic: Any = extending.intrinsic  # its annotations include the context as an argument
 _UNALIGNED = 4  # bytes; NumPy's arrays are aligned to 16 at least, which gains nothing on current processors
 
 
@@ -53,7 +53,7 @@ def _constant(vector: ir.VectorType, value: float) -> ir.Constant:
 
 
 def _overload(function: Callable, instruction: str) -> None:
-    """Let Python's operator be that instruction, lane by lane."""
+    """Map Python's operator to an instruction, lane by lane."""
 
     @intrinsic
     def operation(context, a, b):
@@ -93,14 +93,14 @@ def load(context, array, index):
 
 @intrinsic
 def as_integers(context, array):
-    """The same memory as integers; compiling NumPy's `view` takes 7% of what a loop takes."""
+    """The same memory as integers; NumPy's `view` would take 7% of a loop's compile time."""
     integers = types.Array(int64, array.ndim, array.layout)
 
     def generate(context, builder, signature, arguments):
         same = ir.Constant(context.get_value_type(integers), ir.Undefined)
         for place, kind in enumerate(same.type.elements):
             part = builder.extract_value(arguments[0], place)
-            part = part if part.type == kind else builder.bitcast(part, kind)  # the address alone
+            part = part if part.type == kind else builder.bitcast(part, kind)  # casts only the address
             same = builder.insert_value(same, part, place)
         context.nrt.incref(builder, integers, same)
         return same
@@ -110,7 +110,7 @@ def as_integers(context, array):
 
 @intrinsic
 def store(context, array, index, lanes):
-    """Lanes, to where `load` finds them."""
+    """Store lanes where `load` finds them."""
 
     def generate(context, builder, signature, arguments):
         address = _address(context, builder, signature.args[0], *arguments[:2])
@@ -140,7 +140,7 @@ def everywhere(context, value):
 def broadcast(context, array, index):
     """An element of an array (k,), in every lane.
 
-    Python's indexing first asks whether the index counts from the end, which takes longer than a product.
+    Python's indexing first checks for negative indices, which takes longer than a product.
     """
 
     def generate(context, builder, signature, arguments):
@@ -152,7 +152,7 @@ def broadcast(context, array, index):
 
 
 def _call(builder, name, arguments):
-    """A call of LLVM's own function of registers that has this name."""
+    """A call of LLVM's own vector function of this name."""
     function = ir.FunctionType(_FLOATS, [_FLOATS] * len(arguments))
     name = f"llvm.{name}.v{LANES}f32"
     return builder.call(cgutils.get_or_insert_function(builder.module, function, name), arguments)
@@ -160,9 +160,9 @@ def _call(builder, name, arguments):
 
 @intrinsic
 def fma(context, a, b, c):
-    """a b + c, rounded once where the processor can.
+    """a b + c, rounded once if the processor supports it.
 
-    Where it is for the compiler to pair products with sums, it does so in other ways for other processors.
+    If the compiler chose which products to fuse with sums, it would do so differently on each processor.
     """
 
     def generate(context, builder, signature, arguments):
@@ -173,7 +173,7 @@ def fma(context, a, b, c):
 
 @intrinsic
 def _rounded(context, lanes):
-    """To the nearest integers."""
+    """Round to the nearest integers."""
 
     def generate(context, builder, signature, arguments):
         return _call(builder, "rint", arguments)
@@ -202,7 +202,8 @@ def _at_least(context, lanes, least):
     return REGISTERS(lanes, least), generate
 
 
-# exp of it is below single precision's resolution of 1; its square is normal: others are 100 times slower.
+# Its exp is below single precision's resolution at 1; the square is still normal: subnormals are 100 times
+# slower.
 _LEAST = np.float32(-40.0)
 _LN_2 = np.float32(np.log(2.0))
 _LOG2_E = np.float32(1.0 / np.log(2.0))
@@ -226,11 +227,11 @@ def exp(v):
 
 
 def cosine_of_turns(v):
-    """cos(2 pi v), to 1e-6 and what single precision resolves of v."""
+    """cos(2 pi v), to 1e-6 and the resolution of v in single precision."""
     r = v - _rounded(v)
     square = r * r
     series = everywhere(_SINE[0])
     for coefficient in _SINE[1:]:
         series = fma(series, square, everywhere(coefficient))
-    sine = series * r  # of pi r: the cosine is 1 - 2 sine^2
+    sine = series * r  # sine of pi r: the cosine is 1 - 2 sine^2
     return fma(everywhere(_MINUS_TWO) * sine, sine, everywhere(_ONE))

@@ -1,13 +1,13 @@
-"""A compiled loop that runs many passes in lockstep, one in each lane of vector registers.
+"""A compiled loop over many passes in lockstep, one in each lane of vector registers.
 
-A pass is a rollout, or a recorded experiment that is predicted. It takes a free lane, is stepped frame by
-frame, and when it ends another takes its place; a lane without one computes what nobody reads. So there is
-one path through the code, and the numbers of a pass depend on nothing beside it.
+A pass is a rollout, or the prediction of a recorded experiment. It takes a free lane and is stepped frame by
+frame; when it ends, another takes its place. A lane without a pass computes unused numbers. There is thus one
+path through the code, and the numbers of a pass do not depend on other passes.
 
-The source is written for each composition of kernels: loops over the components of a vector are written out,
-and one loop over the lanes holds everything, so that LLVM keeps in registers what it computes. All lanes are
-in one array (`x[i, lane]`), integers too: of two arrays, LLVM would have to ask whether they overlap. Beyond
-about a hundred rows it does not ask, and compiles one pass after the other.
+The source is generated for each composition of kernels: loops over the components of a vector are written
+out, and one loop over the lanes contains everything, so that LLVM keeps results in registers. All lanes are
+in one array (`x[i, lane]`), including integers: for two arrays, LLVM would have to check whether they
+overlap. Beyond about a hundred rows it skips this check, and compiles one pass after the other.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from simbias.simulation.compiler.compilation import OPTIONS, Compilation
 from simbias.simulation.compiler.kernels import LANES
 from simbias.simulation.compiler.lanes import as_integers
 
-INTEGERS = ("running", "number", "frame", "ending")  # of each lane; one without a pass is not running
+INTEGERS = ("running", "number", "frame", "ending")  # of each lane; a lane without a pass is not running
 
 TEMPLATE = f"""\
 def loop(
@@ -70,14 +70,14 @@ def loop(
 
 
 class Function(NamedTuple):
-    """A kernel's function, and how many parameters it reads one by one."""
+    """A kernel's function, and the number of parameters that it reads one by one."""
 
     function: Callable
     parameters: int
 
     @staticmethod
     def of(kernel: Kernel) -> Function:
-        """The function of a kernel; its parameters are (r,), (k, r), or arrays that it takes as they are."""
+        """The function of a kernel; its parameters are (r,), (k, r), or arrays passed unchanged."""
         parameters = kernel.parameters
         return Function(kernel.function, 0 if isinstance(parameters, tuple) else parameters.shape[-1])
 
@@ -87,41 +87,41 @@ class Function(NamedTuple):
         return len(inspect.signature(self.function).parameters) == len(("x", "u", "data", "correction"))
 
     def read(self, name: str, array: str = "") -> str:
-        """A line that reads the parameters that all lanes share."""
+        """A line that reads the parameters shared by all lanes."""
         array = array or f"{name}_parameters"
         return f"{name}_data = {tuple_of(f'{array}[{{}}]', self.parameters)}"
 
     def own(self, rows: str) -> str:
-        """Parameters of which each lane has its own, in these rows."""
+        """The text of per-lane parameters, in these rows."""
         return tuple_of(f"{rows}[{{}}, lane]", self.parameters)
 
 
 @dataclass(frozen=True)
 class Loop:
-    """The source of a loop: x_new (n,) = step(x_, u_) + correct(x_, u_) (Eq. 7), and what happens around it.
+    """The source of a loop: x_new (n,) = step(x_, u_) + correct(x_, u_) (Eq. 7), and the surrounding steps.
 
-    What acts may be another input than u_, if the model keeps it: `acting`.
+    The acting input may differ from u_, if the model keeps it: `acting`.
 
     Blocks are lines of text; `b` is a pass, `x_`, `u_`, `x_new` are tuples, rows are `x[i, lane]`.
     """
 
-    arguments: str  # before those that the template names
+    arguments: str  # arguments before those in the template
     functions: Mapping[str, Function]  # by their names in the text; `step` and `correct` among them
     n: int  # states
     m: int  # inputs
-    n_model_state: int  # of the nominal model
-    rows: Mapping[str, int]  # of the lanes, beside those that a step needs
-    integers: Sequence[str]  # rows of integers, beside INTEGERS
+    n_model_state: int  # size of the nominal model's state
+    rows: Mapping[str, int]  # of the lanes, in addition to those that a step needs
+    integers: Sequence[str]  # rows of integers, in addition to INTEGERS
     constants: Sequence[str]  # read once
-    take: str  # a pass b begins: x and `model`, the number of its nominal model
-    gather: str  # before a frame, what is read for the lanes
-    advance: Sequence[str]  # in a frame, for each lane: x_ and u_
-    settle: Sequence[str]  # and what becomes of x_new
-    judge: str  # after it, for each lane; `ended` counts those that are `ending`
+    take: str  # when a pass b begins: sets x and `model`, the number of its nominal model
+    gather: str  # before a frame: reads data for the lanes
+    advance: Sequence[str]  # in a frame, for each lane: sets x_ and u_
+    settle: Sequence[str]  # in a frame, for each lane: uses x_new
+    judge: str  # after these, for each lane; `ended` counts those that are `ending`
     record: str  # after a frame
-    release: str  # a pass b has ended
-    targets: int = 0  # the last of the states, which stay as they are
-    acting: tuple[int, ...] = ()  # rows of the next model state: inputs of `correct` in place of u_
+    release: str  # when a pass b has ended
+    targets: int = 0  # number of targets, the last of the states, which stay constant
+    acting: tuple[int, ...] = ()  # entries of the next model state: inputs of `correct` instead of u_
 
     def compiled(self) -> Any:
         """The loop, ready to be called."""
@@ -178,11 +178,11 @@ class Loop:
 
     @property
     def _x(self) -> str:
-        """The robot's states."""
+        """The text of the robot's states."""
         return f"x_[:{self.n - self.targets}]" if self.targets else "x_"
 
     def _stepped(self, step: Function) -> list[str]:
-        """The nominal model's step: y."""
+        """Lines of the nominal model's step, which set y."""
         if not self.n_model_state:
             return [f"y = step({self._x}, u_, {step.own('nominal')})"]
         state = tuple_of("model_state[{}, lane]", self.n_model_state)
@@ -201,7 +201,7 @@ class Loop:
         return [f"x_new = {tuple_of(x_new, robot)}{stays}", *assign("x", "x_new", robot), *self.settle]
 
     def _layout(self) -> list[str]:
-        """Rows for everything in one array of lanes; integers are the last."""
+        """Lines that lay out all rows in one array of lanes, integers last."""
         integers = (*INTEGERS, *self.integers)
         two_loops = self._corrects_all_lanes
         sizes = {
@@ -225,7 +225,7 @@ class Loop:
 
 
 def fill(template: str, **blocks: Sequence[str]) -> str:
-    """A template whose lines `{name}` are replaced by lines of text, at the same indentation."""
+    """Replace the lines `{name}` of a template by lines of text, at the same indentation."""
 
     def block(match: re.Match[str]) -> str:
         lines = "\n".join(blocks[match["name"]]).splitlines()
@@ -235,15 +235,15 @@ def fill(template: str, **blocks: Sequence[str]) -> str:
 
 
 def tuple_of(element: str, size: int, offset: int = 0) -> str:
-    """The text of a tuple of `size` elements, each written with its index and its index after an offset."""
+    """The text of a tuple of `size` elements, each formatted with its index and its index plus an offset."""
     return f"({''.join(element.format(i, offset + i) + ', ' for i in range(size))})"
 
 
 def sum_of(terms: Sequence[str]) -> str:
-    """The sum of terms, in pairs, so that few of them wait for each other.
+    """The text of the sum of terms, added pairwise, so that few additions wait for each other.
 
-    A kernel has its long sums written out. Where a loop takes elements of a long tuple by their index, LLVM
-    keeps the loop, and with it the whole closed loop out of the lanes.
+    Long sums in a kernel must be written out. If a loop indexes a long tuple, LLVM keeps that loop, and the
+    whole closed loop is not vectorised.
     """
     if len(terms) < 2:
         return "".join(terms) or "0.0"
@@ -252,7 +252,7 @@ def sum_of(terms: Sequence[str]) -> str:
 
 
 def assign(rows: str, values: str, size: int) -> list[str]:
-    """A tuple is put into a lane."""
+    """Lines that assign a tuple to a lane."""
     return [f"{rows}[{i}, lane] = {values}[{i}]" for i in range(size)]
 
 
@@ -262,5 +262,5 @@ def _constant(x, u, parameters):
 
 
 def constant(values: Array) -> Kernel:
-    """The kernel of a model, or of a bias, that gives these values (n,) everywhere."""
+    """The kernel of a model, or of a bias, that returns these values (n,) everywhere."""
     return Kernel(_constant, values)

@@ -8,8 +8,8 @@ from typing import Any
 from simbias.simulation.compiler.kernels import LANES
 from simbias.simulation.compiler.loop import Function, Loop, tuple_of
 
-# Pass b is model b // r on experiment b % r of r experiments, which lie one after the other in states (F, n)
-# and inputs (F, m). Their windows begin at `firsts`, `leads` frames after the experiments.
+# Pass b is model b // r on experiment b % r of r experiments, which are concatenated in states (F, n) and
+# inputs (F, m). Their windows begin at `firsts`, `leads` frames after the experiments begin.
 ARGUMENTS = """\
 window, chunk, nominal_parameters, bias_parameters, offsets,
 firsts, leads, frames, first_chunks, states, inputs, means,"""
@@ -48,7 +48,7 @@ for lane in range({LANES}):
 def compile_open_loop(
     step: Function, correct: Function, n: int, m: int, n_model_state: int, acting: tuple[int, ...]
 ) -> Any:
-    """The loop of these kernels, ready to be called."""
+    """The compiled loop of these kernels, ready to be called."""
     return Loop(
         ARGUMENTS,
         {"step": step, "correct": correct},

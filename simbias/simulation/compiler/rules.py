@@ -15,7 +15,7 @@ def truth(symbol: Symbol) -> Symbol:
 
 
 def _operation(name: str, truth: bool = False, of: Callable = numeric) -> Callable[..., Symbol]:
-    """An operation on numbers, or `of` conditions, that gives a number or a truth."""
+    """An operation on numbers, or `of` conditions, that gives a number or a condition."""
 
     def operation(*symbols: Symbol) -> Symbol:
         return symbols[0].trace.operation(name, *map(of, symbols), truth=truth)
@@ -47,7 +47,7 @@ both, either, neither = (_operation(name, True, of=truth) for name in ("and", "o
 
 
 def _extreme(name: str, of_known: str) -> Callable[[Symbol, Symbol], Symbol]:
-    """The lesser or the greater, of equal zeros the second; less has to be asked where the first is known."""
+    """The lesser or the greater, the second of equal zeros; it is simpler if the first is known."""
 
     def extreme(a: Symbol, b: Symbol) -> Symbol:
         if a.name == "number":
@@ -61,7 +61,7 @@ lesser, greater = _extreme("minimum", "at_most"), _extreme("maximum", "at_least"
 
 
 def sine(a: Symbol) -> Symbol:
-    """A sine, which shares what it needs of the angle with the cosine."""
+    """A sine, which shares the reduction of the angle with the cosine."""
     return a.trace.operation("sin", a.trace.operation("angle", numeric(a)))
 
 
@@ -71,7 +71,7 @@ def cosine(a: Symbol) -> Symbol:
 
 
 def divide(a: Symbol, b: Symbol) -> Symbol:
-    """A quotient; the product with the inverse of a known number takes less time, but for `_at_edges`."""
+    """A quotient; by a known number, the faster product with its inverse, except in `_at_edges`."""
     if b.name == "number":
         with np.errstate(all="ignore"):
             product = multiply(a, b.trace.number(np.divide(1.0, b.value), b.whole))
@@ -81,7 +81,7 @@ def divide(a: Symbol, b: Symbol) -> Symbol:
 
 
 def _itself(a: Symbol, most: int = 4) -> Symbol:
-    """A number with the quotient in it itself, also of up to `most` sums and products with what is given."""
+    """A number with its quotient restored, also within up to `most` sums and products with known numbers."""
     if most and a.quotient_of:
         return quotient(_itself(a.quotient_of[0], most - 1), a.quotient_of[1])
     if most and a.name in LINEAR and sum(bool(each.operands) for each in a.operands) == 1:
@@ -90,24 +90,24 @@ def _itself(a: Symbol, most: int = 4) -> Symbol:
 
 
 def _at_edges(operation: Callable[..., Symbol]) -> Callable[..., Symbol]:
-    """An operation of quotients themselves, as their last bit decides at its edges."""
+    """An operation on true quotients, whose last bit matters at the operation's edges."""
     return lambda *symbols: operation(*map(_itself, symbols))
 
 
 def _other_sign(r: Symbol, b: Symbol) -> Symbol:
-    """Whether a remainder of the dividend's sign is not of the divisor's, as NumPy's is."""
+    """Whether a remainder with the dividend's sign lacks the divisor's sign, which NumPy's remainder has."""
     zero = r.trace.number(0)
     return both(unequal(r, zero), _different(less(r, zero), less(b, zero)))
 
 
 def _remainder(a: Symbol, b: Symbol) -> Symbol:
-    """As NumPy has it: a - b floor(a / b) is off by b at edges."""
+    """The remainder as in NumPy; a - b floor(a / b) would be off by b at edges."""
     r, zero = rest(a, b), a.trace.number(0)
     return choose(equal(r, zero), with_sign(zero, b), choose(_other_sign(r, b), add(r, b), r))
 
 
 def _floor_divide(a: Symbol, b: Symbol) -> Symbol:
-    """As NumPy has it: of a multiple of b, so that it has no edges."""
+    """The floor of a quotient as in NumPy, from a multiple of b, so that it has no edges."""
     r, zero, share = rest(a, b), a.trace.number(0), quotient(a, b)
     whole = nearest(subtract(quotient(subtract(a, r), b), _other_sign(r, b)))
     whole = choose(equal(whole, zero), with_sign(zero, share), whole)
@@ -115,7 +115,7 @@ def _floor_divide(a: Symbol, b: Symbol) -> Symbol:
 
 
 def to_the_power(base: Symbol, exponent: Symbol) -> Symbol:
-    """A power; of a small whole exponent products, as part of what is written."""
+    """A power; for a small integer exponent, written as products."""
     known = exponent.value if exponent.name == "number" else np.nan
     if known == 0.5:
         return square_root(base)
@@ -137,7 +137,7 @@ def choose(condition: Symbol, a: Symbol, b: Symbol) -> Symbol:
 
 
 def _of_numbers_first(prefers: Callable[[Symbol, Symbol], Symbol]) -> Callable[[Symbol, Symbol], Symbol]:
-    """The lesser or the greater; of a number and one that is none, the number."""
+    """The lesser or the greater; of a number and nan, the number."""
     return lambda a, b: choose(either(prefers(a, b), unequal(b, b)), a, b)
 
 
@@ -153,11 +153,11 @@ def _different(a: Symbol, b: Symbol) -> Symbol:
 
 LINEAR = ("add", "subtract", "multiply", "negative")
 ROUNDED = ("floor", "ceil", "trunc", "rint")
-OF_NUMPY = (  # functions of one number, which are written as they are
+OF_NUMPY = (  # functions of one number, written unchanged
     *("arcsin", "arccos", "sinh", "cosh", "tanh", "arcsinh", "arccosh", "arctanh"),
     *("exp", "exp2", "expm1", "log", "log2", "log10", "log1p"),
 )
-# Elementwise functions of NumPy; the others cannot be written down.
+# Elementwise functions of NumPy; others cannot be written down.
 RULES: Mapping[np.ufunc, Callable[..., Symbol]] = {
     np.add: add,
     np.subtract: subtract,

@@ -13,7 +13,7 @@ from simbias.simulation.compiler.symbols import Symbol, Trace, TraceError, numer
 
 
 class Symbols(np.ndarray):
-    """An array whose elements are symbols, or numbers among them."""
+    """An array whose elements are symbols and numbers."""
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
         return applied(ufunc, method, inputs, options)
@@ -45,7 +45,7 @@ def array(values: Any) -> Symbols:
 
 
 def row(trace: Trace, name: str, size: int) -> Symbols:
-    """A vector (1, size) that is given to what is written."""
+    """A vector (1, size) that is an argument of the written function."""
     return array([[trace.given(f"{name}[{index}]") for index in range(size)]])
 
 
@@ -60,7 +60,7 @@ def _conditions(values: Any) -> Iterator[bool]:
 
 
 def _truths(values: Any, others: Any) -> Any:
-    """Values as conditions of the trace of some symbols."""
+    """Values as conditions, in the trace of some symbols."""
     trace = _trace_of([others])
     return values if trace is None else _ALL_TRUE(_known(values, trace))
 
@@ -71,12 +71,12 @@ def _numbers(values: Any) -> np.ndarray:
 
 
 def _double(dtype: Any) -> bool:
-    """Whether numbers of this type are those of symbols."""
+    """Whether this type is the double precision of symbols."""
     return dtype is None or np.dtype(dtype) in (np.float64, object)
 
 
 def _folding(ufunc: np.ufunc, rule: Callable) -> Callable:
-    """A rule that computes where all numbers are known."""
+    """A rule that evaluates the function if all numbers are known."""
 
     def folded(*values: Symbol) -> Symbol:
         if all(value.name == "number" for value in values):
@@ -103,12 +103,12 @@ _PRODUCTS = [getattr(np, name) for name in ("matmul", "vecdot", "matvec", "vecma
 _ALL_TRUE = np.frompyfunc(truth, 1, 1)
 _AS_NUMBERS = np.frompyfunc(lambda each: numeric(each) if isinstance(each, Symbol) else each, 1, 1)
 _CHOOSE = np.frompyfunc(choose, 3, 1)
-_PASSED_ON = ("axis", "axes", "keepdims")  # options that say which operations there are
+_PASSED_ON = ("axis", "axes", "keepdims")  # options that select the operations
 _KNOWN = (*_PASSED_ON, "out", "casting", "order", "subok")  # the last three change no number
 
 
 def applied(ufunc: np.ufunc, method: str, inputs: Sequence[Any], options: Mapping[str, Any]) -> Any:
-    """An elementwise function of NumPy's, or a product of matrices, written down."""
+    """Write down an elementwise function of NumPy, or a matrix product."""
     if ufunc not in _ELEMENTWISE and ufunc not in _PRODUCTS:
         raise TraceError(f"np.{ufunc.__name__} of values is not known here")
     _check_options(ufunc, options)
@@ -134,11 +134,11 @@ def applied(ufunc: np.ufunc, method: str, inputs: Sequence[Any], options: Mappin
 
 
 def _check_options(ufunc: np.ufunc, options: Mapping[str, Any]) -> None:
-    """Refuse options that change what is computed."""
+    """Refuse options that change the result."""
     for option, value in options.items():
         known = option in _KNOWN or (option == "where" and value is True)
         if option == "dtype":
-            known = _double(value) or ufunc in (np.logical_and, np.logical_or)  # np.any says bool
+            known = _double(value) or ufunc in (np.logical_and, np.logical_or)  # np.any passes bool
         if not known:
             raise TraceError(f"np.{ufunc.__name__}: {option}= is not known here")
 
@@ -148,14 +148,14 @@ def _of_conditions(ufunc: np.ufunc, made: Any) -> Any:
     try:
         dtype = ufunc.resolve_dtypes((np.dtype(bool),) * ufunc.nin + (None,) * ufunc.nout)[-1]
     except TypeError:
-        dtype = np.dtype(np.float16)  # there is none
+        dtype = np.dtype(np.float16)  # a type that NumPy would not return
     if dtype == np.float16:
         raise TraceError(f"np.{ufunc.__name__} of conditions is not known here")
     return _ALL_TRUE(np.asarray(made, object)) if dtype.kind == "b" else made
 
 
 def _plain(values: Any) -> Any:
-    """Numbers in an array that has room for symbols."""
+    """Numbers in an array that may also hold symbols."""
     return np.asarray(values, np.float64) if isinstance(values, Symbols) else values
 
 
@@ -174,7 +174,7 @@ def _trace_of(values: Any) -> Trace | None:
 
 
 def _known(values: Any, trace: Trace) -> np.ndarray:
-    """Values as a plain array of symbols; numbers are parameters once, not once for each row."""
+    """Values as a plain array of symbols; numbers become parameters once, not for each row."""
     if isinstance(values, Symbol):
         return np.asarray(array(values))
     plain = np.asarray(values)
@@ -183,7 +183,7 @@ def _known(values: Any, trace: Trace) -> np.ndarray:
 
 
 def called(function: Callable, arguments: Sequence[Any], options: Mapping[str, Any]) -> Any:
-    """Another function of NumPy's: one of those here, or as NumPy has it, which calls elementwise ones."""
+    """Any other NumPy function: one defined here, or NumPy's own if built from elementwise functions."""
     name = f"{function.__module__}.{function.__name__}".replace("numpy.", "np.", 1)
     options = {option: value for option, value in options.items() if value is not None}
     try:
@@ -203,14 +203,14 @@ _ANY = np.empty(0, object).view(Symbols)
 
 
 def _arrays(values: Any) -> Any:
-    """Arguments whose single symbols are arrays."""
+    """Arguments with single symbols turned into arrays."""
     if isinstance(values, Symbol):
         return array(values)
     return type(values)(map(_arrays, values)) if type(values) in (list, tuple) else values
 
 
 def _viewed(made: Any) -> Any:
-    """A result whose plain arrays of symbols are ours."""
+    """A result with plain arrays of symbols turned into `Symbols`."""
     if isinstance(made, np.ndarray) and made.dtype == object:
         conditions = list(_conditions(made))
         return (_numbers(made) if any(conditions) and not all(conditions) else made).view(Symbols)
@@ -226,7 +226,7 @@ def _where(condition: Any, a: Any, b: Any) -> Any:
 
 def _clip(a: Any, a_min: Any = None, a_max: Any = None, *, min: Any = None, max: Any = None) -> Any:  # noqa: A002 (NumPy's)
     low, high = (a_min if min is None else min), (a_max if max is None else max)
-    raised = a if low is None else np.maximum(low, a)  # in this order a zero keeps its sign
+    raised = a if low is None else np.maximum(low, a)  # in this order, a zero keeps its sign
     return raised if high is None else np.minimum(high, raised)
 
 
@@ -245,12 +245,12 @@ def _full_like(a: Any, fill_value: Any, dtype: Any = None, shape: Any = None) ->
 
 
 def _filled(value: float) -> Callable:
-    """The function that makes an array of one's shape, filled with a number."""
+    """A function that makes an array of a given array's shape, filled with a number."""
     return lambda a, dtype=None, shape=None: _full_like(a, value, dtype, shape)
 
 
 def _interp(x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None) -> Any:
-    """Of a constant table: its row is chosen, and what it gives is computed as NumPy does."""
+    """Interpolation of a constant table: the row is selected, then the value is computed as in NumPy."""
     if _trace_of([xp, fp, left, right]) or np.size(xp) < 2:
         raise TraceError("a table of values, or of one row, is not known here")
     with np.errstate(all="ignore"):
@@ -273,7 +273,7 @@ def _norm(x: Any, ord: Any = None, axis: int | None = None, keepdims: bool = Fal
 
 
 def _determinant(A: Any) -> Any:
-    """By the first row's minors (..., n, n)."""
+    """The determinant of matrices (..., n, n), by the first row's minors."""
     n = A.shape[-1]
     if n > ADJUGATE:
         raise TraceError(f"the determinant of more than {ADJUGATE} rows is not known here")
@@ -283,11 +283,11 @@ def _determinant(A: Any) -> Any:
     return sum(terms[1:], terms[0])
 
 
-ADJUGATE = 3  # rows of matrices that are inverted by their minors, whatever the values are
+ADJUGATE = 3  # rows of matrices that are always inverted by their minors
 
 
 def _cofactor(A: Any, i: int, j: int) -> Any:
-    """The minor without a row and a column, with its sign."""
+    """The signed minor without row i and column j."""
     minor = _determinant(np.delete(np.delete(A, i, axis=-2), j, axis=-1))
     return minor if (i + j) % 2 == 0 else -minor
 
@@ -305,7 +305,7 @@ def _inverse(A: Any) -> Any:
 
 
 def _solve(A: Any, b: Any) -> Any:
-    """Large ones by elimination without pivots, as mass matrices need none; what is made of it is checked."""
+    """Solve linear systems; large ones by elimination without pivots, which mass matrices do not need."""
     n = A.shape[-1]
     if np.ndim(b) == 1:
         return _solve(A, b[:, None])[..., 0]

@@ -1,9 +1,9 @@
-"""Numbers that write down what is done with them.
+"""Symbolic numbers that record the operations on them.
 
 A component's method is called once on such numbers (`simbias.simulation.compiler.symbolic_arrays` are NumPy's
-arrays of them); what it computes is then a list of operations on single numbers, of which
-`simbias.simulation.compiler.tracing` makes a kernel. Code that needs a value, because it decides by it or
-hands it to something else than NumPy, gets a `TraceError`.
+arrays of them); its computation is then a list of operations on single numbers, from which
+`simbias.simulation.compiler.tracing` makes a kernel. Code that needs a value, because it branches on it or
+passes it to something other than NumPy, gets a `TraceError`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 
-MOST = 3000  # operations and numbers: to compile 2,500 of them takes LLVM a minute, 300 some seconds
+MOST = 3000  # operations and numbers: LLVM takes a minute to compile 2,500 of them, some seconds for 300
 LOOKED_UP = "looked_up"  # the operation of a table: see `simbias.simulation.compiler.tables`
 
 
@@ -24,24 +24,24 @@ class TraceError(TypeError):
 
 
 class Trace:
-    """The operations that were asked for, each once.
+    """The recorded operations, each only once.
 
-    Numbers that are met become parameters of what is written; whole ones, as in `x / 2` and `1 + x`, are
-    written as they are. No operation is left out because of a number's value, nor are equal numbers one
-    parameter: models that differ in numbers have the same operations.
+    Numbers in the code become parameters of the kernel; integers, as in `x / 2` and `1 + x`, are written
+    literally. No operation is omitted because of a number's value, and equal numbers stay separate
+    parameters: models that differ only in numbers have the same operations.
     """
 
     def __init__(self) -> None:
         self.symbols: list[Symbol] = []
         self._known: dict[tuple, Symbol] = {}
-        self._counted = 0  # of them; what is given and what stands in a table takes no compiling
+        self._counted = 0  # number of symbols, except arguments and table entries, which need no compilation
 
     def given(self, name: str) -> Symbol:
-        """A number that what is written is given, by its name there."""
+        """A number that is an argument of the written function, by its name there."""
         return self._add("given", value=name, counts=False)
 
     def number(self, value: Any, whole: bool = False) -> Symbol:
-        """A number that the code knows; one that is `whole`, or comes of such, is written as it is."""
+        """A known number; if it is `whole`, or computed from such numbers, it is written literally."""
         if isinstance(value, complex | np.complexfloating):
             raise TraceError("it computes with complex numbers")
         if isinstance(value, bool | np.bool_):
@@ -58,7 +58,7 @@ class Trace:
         return self._add("number", value=float(value), counts=False)
 
     def operation(self, name: str, *operands: Symbol, truth: bool = False) -> Symbol:
-        """An operation's result; of the same operation, the same one."""
+        """An operation's result; the same operation gives the same symbol."""
         key = (name, *(operand.index for operand in operands))
         if key not in self._known:
             self._known[key] = self._add(name, operands, truth=truth)
@@ -73,7 +73,7 @@ class Trace:
         whole: bool = False,
         counts: bool = True,
     ) -> Symbol:
-        """One more symbol."""
+        """Add a symbol."""
         self._counted += counts
         if self._counted > MOST:
             raise TraceError(f"it takes more than {MOST} operations, on single numbers")
@@ -83,7 +83,7 @@ class Trace:
 
 
 class Symbol(NDArrayOperatorsMixin):
-    """A number that is not known yet, or whether something holds."""
+    """A number that is not known yet, or a condition."""
 
     __slots__ = ("index", "name", "operands", "quotient_of", "trace", "truth", "value", "whole")
 
@@ -91,13 +91,13 @@ class Symbol(NDArrayOperatorsMixin):
         self, trace: Trace, name: str, operands: tuple[Symbol, ...], value: Any, truth: bool, whole: bool
     ) -> None:
         self.trace = trace
-        self.index = len(trace.symbols)  # among all of the trace: after its operands
+        self.index = len(trace.symbols)  # in the trace, after its operands
         self.name = name  # of the operation
         self.operands = operands
-        self.value = value  # of a number; the name of what is given
+        self.value = value  # of a number; for an argument, its name
         self.truth = truth  # whether it is a condition
-        self.whole = whole  # whether it is a number that is written as it is
-        self.quotient_of: tuple[Symbol, Symbol] | None = None  # of a product in its place
+        self.whole = whole  # whether it is a number that is written literally
+        self.quotient_of: tuple[Symbol, Symbol] | None = None  # the quotient that this product replaces
 
     def __hash__(self) -> int:
         return id(self)
@@ -112,17 +112,17 @@ class Symbol(NDArrayOperatorsMixin):
         return arrays().array(self)[index]
 
     def __getattr__(self, name: str) -> Any:
-        """An attribute that NumPy's numbers have too; NumPy looks up functions on elements by name."""
+        """An attribute that NumPy's numbers also have; NumPy looks up functions of elements by name."""
         if name.startswith("__"):
             raise AttributeError(name)
-        from simbias.simulation.compiler.rules import BY_NAME  # which knows this module
+        from simbias.simulation.compiler.rules import BY_NAME  # it imports this module
 
         rule = BY_NAME.get(name)
         return partial(rule, self) if rule else getattr(arrays().array(self), name)
 
 
 def arrays() -> Any:
-    """The arrays of symbols, whose module knows this one."""
+    """The module of symbol arrays, which imports this one."""
     from simbias.simulation.compiler import symbolic_arrays
 
     return symbolic_arrays

@@ -1,7 +1,7 @@
-"""Tables that a policy looks up by the time, as a trajectory and the gains along it.
+"""Tables that a policy looks up by time, such as a trajectory and the gains along it.
 
-In a trace each column that is looked up is one operation, however many rows it has. The compiled loop reads
-the two rows around a lane's time before each frame, as it reads noise.
+In a trace, looking up a column is one operation, regardless of its number of rows. The compiled loop reads
+the two rows around a lane's time before each frame, like noise.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from simbias.simulation.compiler.symbols import LOOKED_UP, Symbol, TraceError
 
 
 def scheduled(table: Array, t: Any, spacing: float) -> Array:
-    """The row (..., c) at time t of a table (..., K, c), linear between its rows of every `spacing` s.
+    """The row (..., c) at time t of a table (..., K, c), interpolated between rows at every `spacing` s.
 
-    The first of at least two rows is that of t = 0; the last one holds ever after. The trace of a policy may
-    look one table up, by the time itself.
+    There are at least two rows. The first one is for t = 0; the last one applies from its time on. The trace
+    of a policy may look up one table, and only by the time itself.
     """
     if isinstance(t, Symbol):
         return _written_down(table, t, spacing)
@@ -54,7 +54,7 @@ class Lookup(NamedTuple):
 
     @staticmethod
     def among(symbols: Sequence[Symbol]) -> Lookup:
-        """The columns among these symbols; if there are none, of no table."""
+        """The looked-up columns among these symbols; if there are none, an empty lookup."""
         columns = [symbol for symbol in symbols if symbol.name == LOOKED_UP]
         if len({(symbol.operands[1].value, len(symbol.operands)) for symbol in columns}) > 1:
             raise TraceError("it looks up several tables, at other times")

@@ -1,11 +1,11 @@
-"""Kernels of components whose authors wrote none: the arithmetic of their methods, written down.
+"""Kernels for components without hand-written ones, traced from their methods.
 
-A method in ordinary vectorised NumPy is called once on symbols (`simbias.simulation.compiler.symbols`). What
-comes of it is the text of a kernel, which joins the compiled loop as one that is written by hand. It is used
-if it gives the method's own numbers at random states, to rounding. Else, and where the code needs values,
-the closed loop is simulated in NumPy, and a warning names the line that keeps it there.
+A method in ordinary vectorised NumPy is called once on symbols (`simbias.simulation.compiler.symbols`). The
+result is the text of a kernel, which joins the compiled loop like a hand-written one. It is used if it agrees
+with the method at random states, to rounding. Otherwise, or if the code needs values, the closed loop is
+simulated in NumPy, and a warning names the responsible line.
 
-A component is traced once: what it computes must not change after its first use.
+A component is traced once: its computation must not change after its first use.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from simbias.simulation.compiler.written import Formulas, columns, needed, writt
 class KernelOrReason(NamedTuple):
     """The kernel of a part of a closed loop, or why it has none."""
 
-    kernel: Any  # of a policy, a `PolicyKernel`; None
+    kernel: Any  # a `PolicyKernel` for a policy; None if there is none
     why_not: str = ""
 
 
@@ -52,12 +52,12 @@ def parts_of(model: Model) -> tuple[KernelOrReason, KernelOrReason, KernelOrReas
 
 
 def of_measure(task: Task, points: Points) -> KernelOrReason:
-    """The task's measures."""
+    """The kernel of the task's measures."""
     return _once(task, "measure", lambda: _traced(task, "measure", {"x": points()[0]}, [len(task.criteria)]))
 
 
 def of_cost(cost: Cost, task: Task) -> KernelOrReason:
-    """A cost's terms, if it has any and their totals are all that it is."""
+    """The kernel of a cost's terms, if it has terms and depends only on their totals."""
     if not cost.reductions or type(cost).of is not Cost.of:
         return KernelOrReason(None, f"{type(cost).__name__} says no `reductions`, or has its own `of`")
 
@@ -69,7 +69,7 @@ def of_cost(cost: Cost, task: Task) -> KernelOrReason:
 
 
 def of_nominal(nominal: Nominal, points: Points) -> KernelOrReason:
-    """A step of the nominal model."""
+    """The kernel of the nominal model's step."""
     if nominal.kernel is not None:
         return KernelOrReason(nominal.kernel)
     s = nominal.state_size
@@ -87,7 +87,7 @@ def of_nominal(nominal: Nominal, points: Points) -> KernelOrReason:
 
 
 def of_bias(bias: FittedBias, points: Points) -> KernelOrReason:
-    """A bias' correction."""
+    """The kernel of a bias' correction."""
     if bias.kernel is not None:
         return KernelOrReason(bias.kernel)
 
@@ -99,8 +99,8 @@ def of_bias(bias: FittedBias, points: Points) -> KernelOrReason:
 
 
 def _traced(component: Any, method: str, vectors: dict[str, Array], sizes: Sequence[int]) -> KernelOrReason:
-    """The kernel of a method that takes these vectors (k, .) and gives some of these sizes."""
-    arguments = list(vectors)  # of the kernel: its parameters come before a model state
+    """The kernel of a method that takes these vectors (k, .) and returns vectors of these sizes."""
+    arguments = list(vectors)  # of the kernel, whose parameters come before a model state
     arguments.insert(len(vectors) - ("model_state" in vectors), "p")
 
     def trace(subject: Callable) -> Kernel:
@@ -122,13 +122,13 @@ def _traced(component: Any, method: str, vectors: dict[str, Array], sizes: Seque
 
 
 class PolicyKernel(NamedTuple):
-    """A policy's `act` for any thetas: what depends on them alone is computed once for each."""
+    """A policy's `act` for any thetas; parts that depend only on theta are computed once."""
 
-    function: Callable  # (parameters, x, t, policy_state, constants) -> u, policy_state; a row comes last
-    constants: Array  # (c,) numbers that all thetas share
-    prepare: Kernel  # of thetas: the parameters
-    size: int  # r, of the parameters that it reads one by one
-    columns: int = 0  # c, of the table behind them that is looked up by the time
+    function: Callable  # (parameters, x, t, policy_state, constants) -> u, policy_state; a table row is last
+    constants: Array  # (c,) numbers shared by all thetas
+    prepare: Kernel  # from thetas to parameters
+    size: int  # r, number of parameters read one by one
+    columns: int = 0  # c, of the table after them, looked up by time
 
     def parameters(self, thetas: Array) -> Array:
         """Parameters (k, r) of the kernel for thetas (k, p); with a table, (k, r + 1 + K c)."""
@@ -174,14 +174,14 @@ def of_policy(policy: Policy, task: Task, points: Points) -> KernelOrReason:
                 [thetas, near, state],
                 made(near, t, state),
             )
-        if s:  # states that no random numbers are
+        if s:  # realistic states, not random numbers
             compare_frames(lambda x, t, state: subject(thetas, x, t, state), made, near, s)
 
     return _once(policy, "act", lambda: _part(policy, "act", trace, check))
 
 
 def formulas_of(policy: Policy, task: Task, theta: Array, method: str = "act") -> Formulas | str:
-    """Formulas of the policy theta (p,) in each frame, or the reason why they cannot be written down."""
+    """Formulas of the policy theta (p,) in a frame, or the reason why they cannot be written down."""
 
     def trace(subject: Callable) -> Formulas:
         return _formulas(Trace(), subject, policy, task, theta[None])
@@ -198,7 +198,7 @@ def _formulas(trace: Trace, act: Callable, policy: Policy, task: Task, theta: Ar
 
 
 def _of_thetas_alone(trace: Trace, results: Sequence[Sequence[Symbol]]) -> list[Symbol]:
-    """Symbols that depend on thetas alone and are used with symbols that change in a rollout."""
+    """Symbols that depend only on thetas and are used with symbols that change in a rollout."""
     changing: set[int] = set()
     for symbol in trace.symbols:
         own = symbol.name == "given" and not symbol.value.startswith("theta[")
@@ -230,7 +230,7 @@ def _part(component: Any, method: str, trace: Callable, check: Callable) -> Kern
         for each in _within(component):
             if _knows_foreign_code(type(each)):  # type: ignore[arg-type]  # (mypy: a class has a hash)
                 raise TraceError("its module calls code by ctypes or cffi")
-        subject = getattr(copy(component), method)  # what it remembers of this is forgotten
+        subject = getattr(copy(component), method)  # a copy, so that the trace leaves no memory
         with np.errstate(all="ignore"):
             kernel = trace(subject)
             check(subject, kernel)
@@ -244,7 +244,7 @@ def _part(component: Any, method: str, trace: Callable, check: Callable) -> Kern
 
 
 def _within(component: Any) -> Iterator[Any]:
-    """A component and those that it holds, as an identified model holds the model."""
+    """A component and the components it contains, such as the model in an identified model."""
     yield component
     for each in vars(component).values():
         if isinstance(each, Task | Nominal | Policy | FittedBias):
@@ -253,24 +253,24 @@ def _within(component: Any) -> Iterator[Any]:
 
 @cache
 def _knows_foreign_code(component: type) -> bool:
-    """Whether a module of a component's class could hand the memory of an array to a library."""
+    """Whether a module of a component's class could pass the memory of an array to a library."""
     modules = (sys.modules.get(each.__module__) for each in component.__mro__)
     return any(_is_foreign(value) for module in modules if module for value in vars(module).values())
 
 
 def _is_foreign(value: Any) -> bool:
-    """Whether a value is one of the libraries that call foreign code, or from there."""
+    """Whether a value is, or comes from, a library that calls foreign code."""
     names = getattr(value, "__name__", ""), getattr(value, "__module__", ""), type(value).__module__
     return any(
         str(name).partition(".")[0] in ("ctypes", "_ctypes", "cffi", "_cffi_backend") for name in names
     )
 
 
-_FOUND: dict[int, dict[str, KernelOrReason]] = {}  # by the component's identity, for as long as it lives
+_FOUND: dict[int, dict[str, KernelOrReason]] = {}  # by the component's identity, as long as it exists
 
 
 def _once(component: Any, method: str, find: Callable[[], KernelOrReason]) -> KernelOrReason:
-    """The kernel of a component's method, or the reason why there is none; looked for once."""
+    """The kernel of a component's method, or the reason why there is none; determined once."""
     key = id(component)
     if key not in _FOUND:
         weakref.finalize(component, _FOUND.pop, key, None).atexit = False

@@ -1,6 +1,6 @@
-"""Sine, cosine, arctangent and hyperbolic tangent of compiled code, in the lanes of vector registers.
+"""Sine, cosine, arctangent and hyperbolic tangent for compiled code, in the lanes of vector registers.
 
-The mathematics library takes one number at a time, which would keep a whole closed loop out of the lanes.
+The mathematics library takes one number at a time, which would prevent vectorising the whole closed loop.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _COSINE = (
 
 
 def _by_polynomials(x: float) -> tuple[float, float]:
-    """Sine and cosine of x, without branches: |x| <= 1e6 to 2e-16; what is not finite gives nan."""
+    """Sine and cosine of x, without branches: to 2e-16 for |x| <= 1e6; non-finite x gives nan."""
     k = np.floor(x * (2 / np.pi) + 0.5)
     r = x - k * _HALF_PI[0] - k * _HALF_PI[1] - k * _HALF_PI[2]
     z = r * r
@@ -44,7 +44,7 @@ def _by_polynomials(x: float) -> tuple[float, float]:
     c5 = _COSINE[4] + z * _COSINE[5]
     c = 1.0 - 0.5 * z + z * z * (_COSINE[0] + z * (_COSINE[1] + z * (_COSINE[2] + z * (_COSINE[3] + z * c5))))
     half = np.floor(0.5 * k)
-    odd = k - 2.0 * half  # 1 in every other quadrant, where sine and cosine change places
+    odd = k - 2.0 * half  # 1 in every other quadrant, where sine and cosine swap
     sign = 1.0 - 2.0 * (half - 2.0 * np.floor(0.5 * half))  # of the sine: -1 in the third and fourth quadrant
     even = 1.0 - odd
     return sign * (odd * c + even * s), sign * (even - odd) * (odd * s + even * c)
@@ -53,7 +53,7 @@ def _by_polynomials(x: float) -> tuple[float, float]:
 @compiled_as(_by_polynomials)
 def sincos(x: Any) -> tuple[Any, Any]:
     """Sine and cosine of x, a number or an array."""
-    if isinstance(x, float):  # sums and products of Python's numbers are quicker than those of NumPy's
+    if isinstance(x, float):  # arithmetic with Python's numbers is faster than with NumPy's
         if not math.isfinite(x):
             return math.nan, math.nan
         return float(np.sin(x)), float(np.cos(x))
@@ -62,8 +62,8 @@ def sincos(x: Any) -> tuple[Any, Any]:
 
 def _by_halving(x: float) -> float:
     """Arctangent of x, without branches: to 1e-15."""
-    x = min(max(x, -1e150), 1e150)  # beyond, it is the same, and the square may not be finite
-    y = x / (1.0 + np.sqrt(1.0 + x * x))  # tan(a / 2) of tan(a) = x
+    x = min(max(x, -1e150), 1e150)  # beyond, the result is the same, but the square may overflow
+    y = x / (1.0 + np.sqrt(1.0 + x * x))  # tan(a / 2), where tan(a) = x
     y = y / (1.0 + np.sqrt(1.0 + y * y))
     y = y / (1.0 + np.sqrt(1.0 + y * y))  # |y| <= tan(pi / 16)
     z = y * y
@@ -83,7 +83,7 @@ def _by_doubling(x: float) -> float:
     z = y * y
     n = y * (1.0 + z * (17325.0 + z * (378.0 + z)) / 135135.0)  # n / d: a convergent of a continued fraction
     d = 1.0 + z * (62370.0 + z * (3150.0 + 28.0 * z)) / 135135.0
-    n, d = 2.0 * n * d, n * n + d * d  # of 2 y, and so on to 64 y
+    n, d = 2.0 * n * d, n * n + d * d  # for 2 y, and so on to 64 y
     n, d = 2.0 * n * d, n * n + d * d
     n, d = 2.0 * n * d, n * n + d * d
     n, d = 2.0 * n * d, n * n + d * d

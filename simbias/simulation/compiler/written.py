@@ -1,4 +1,4 @@
-"""Text of a trace's operations: in Python for Numba and for NumPy's numbers, and in C."""
+"""The text of a trace's operations: in Python, for Numba and NumPy, and in C."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from simbias.simulation.compiler.trigonometry import arctan, sincos, tanh
 
 NAMES = {"np": np, "lesser": lesser, "greater": greater, "chosen": chosen}
 NAMES |= {"at_most": at_most, "at_least": at_least, "sincos": sincos, "arctan": arctan, "tanh": tanh}
-SHORT = 70  # characters of what is written within the line that uses it
+SHORT = 70  # characters of an expression that is inlined where it is used
 
 _IN_ALL = {
     "add": "{} + {}",
@@ -52,7 +52,7 @@ _IN_NUMPY = {
     "or": "{} or {}",
     "not": "not {}",
 }
-_IN_NUMBA = {  # for NumPy's arrays, too
+_IN_NUMBA = {  # also for NumPy arrays
     **_IN_NUMPY,
     "angle": "sincos({})",
     "sin": "{}[0]",
@@ -111,7 +111,7 @@ class Language:
     infinity: str = "np.inf"
     nan: str = "np.nan"
     statement: str = "{} = {}"
-    condition: str = "{} = {}"  # the statement of what holds or not
+    condition: str = "{} = {}"  # the statement of a condition
     table: str = "{} = ({},)"  # the statement of a column,
     interpolated: str = "np.interp({}, np.arange({}), {})"  # its value at a position between its rows
 
@@ -133,9 +133,9 @@ C = Language(
 def statements(
     trace: Trace, results: Sequence[Sequence[Symbol]], language: Language, names: dict[int, str]
 ) -> list[str]:
-    """Lines that compute these vectors of what has a name by its index; the results have names afterwards.
+    """Lines that compute these vectors from the named symbols; afterwards the results are named.
 
-    What is used once becomes part of the line that uses it, as long as that is short.
+    A symbol used once is inlined into the line that uses it, as long as that is short.
     """
     order = needed(trace, results, names)
     uses = Counter(symbol.index for vector in results for symbol in vector)
@@ -175,7 +175,7 @@ class Formulas(NamedTuple):
     policy_state: list[Symbol]
 
     def written(self, language: Language) -> tuple[list[str], list[str], list[str]]:
-        """Lines, and what u and the policy state for the next frame are after them."""
+        """Lines, and the expressions of u and the next policy state after them."""
         names: dict[int, str] = {}
         lines = statements(self.trace, [self.u, self.policy_state], language, names)
         u, policy_state = (
@@ -190,7 +190,7 @@ class Formulas(NamedTuple):
 
     @property
     def looks_up(self) -> bool:
-        """Whether the formulas look something up in a table."""
+        """Whether the formulas use a lookup table."""
         return any(symbol.name == LOOKED_UP for symbol in needed(self.trace, [self.u, self.policy_state]))
 
 
@@ -202,9 +202,9 @@ def written(
     numbers_name: str = "p",
     looked_up: Sequence[Symbol] = (),
 ) -> Kernel:
-    """The kernel that gives these vectors; p is what is computed before, numbers (c,) have a name too.
+    """The kernel that computes these vectors; p are precomputed parameters, and numbers (c,) are named.
 
-    What is looked up in a table is a row of its own. Of the same operations it is the same function.
+    Looked-up values form a separate row. The same operations give the same function.
     """
     names = {symbol.index: f"p[{index}]" for index, symbol in enumerate(before)}
     names |= {symbol.index: f"row[{index}]" for index, symbol in enumerate(looked_up)}
@@ -229,7 +229,7 @@ def needed(trace: Trace, results: Sequence[Sequence[Symbol]], known: Collection[
 
 
 def columns(function: Callable, *arguments: Any) -> tuple[Any, ...]:
-    """The r results of a one-row function, for all rows of vectors (k, n) and of numbers (k,) at once."""
+    """The r results of a one-row function, for all rows of vectors (k, n) and numbers (k,) at once."""
     given = [tuple(each.T) if isinstance(each, np.ndarray) and each.ndim > 1 else each for each in arguments]
     with np.errstate(all="ignore"):
         return function(*given)
