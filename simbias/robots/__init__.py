@@ -1,1 +1,1 @@
-"""Robots and physics engines: task, nominal model, hardware and drawing of each in one place."""
+"""Robots and physics engines, each with its task, nominal model, hardware and drawing in one place."""

@@ -1,4 +1,4 @@
-"""A ball on a string, and the cup that it hangs from, in a vertical plane: from their equations of motion."""
+"""A ball in a cup, hanging from it on a string, in a vertical plane; from the equations of motion."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from simbias.core.records import Array
 from simbias.simulation.compiler import at_least, at_most, elementwise
 
 RISE, FLARE, DEPTH = 0.04, 0.07, 0.08  # m: half the bottom's width, half the rim's, the cup's height
-REACH = 0.033  # m, of the ball's centre from the middle of a wall where they touch
-SLIP = 0.02  # m/s, at which friction has two thirds of its size
-EDGE = 1e-4  # m, of penetration up to which a contact comes to bear
+REACH = 0.033  # m, distance at contact from the ball's centre to the middle of a wall
+SLIP = 0.02  # m/s, at which friction reaches two thirds of its size
+EDGE = 1e-4  # m, penetration at which a contact is fully effective
 _UNITS = {
     "cup_mass": "kg",
     "ball_mass": "kg",
@@ -32,9 +32,9 @@ _UNITS = {
 
 
 def _touched(x, z, v_x, v_z, from_x, from_z, along_x, along_z, rate, friction):
-    """The acceleration of a ball by a wall, from a point and along a vector; x, v are relative to it.
+    """The acceleration of a ball by a wall from a point along a vector; x and v are relative to the wall.
 
-    A contact is a spring that is damped critically, one-sided, with smooth Coulomb friction.
+    A contact is a one-sided, critically damped spring with smooth Coulomb friction.
     """
     off_x, off_z = x - from_x, z - from_z
     share = (off_x * along_x + off_z * along_z) / (along_x * along_x + along_z * along_z)
@@ -77,7 +77,7 @@ def _accelerations(x, u, parameters):
 
 @cache
 def _frame(count: int) -> Callable:
-    """So many steps of the semi-implicit Euler method."""
+    """A frame of `count` steps of the semi-implicit Euler method."""
 
     def frame(x, u, parameters):
         """States a frame after x under u."""
@@ -93,29 +93,29 @@ def _frame(count: int) -> Callable:
 
 @final
 class BallInCup(Nominal):
-    """States are x and z of the cup, x and z of the ball, and their velocities; inputs are forces on the cup.
+    """A ball in a cup: states are x and z of cup and ball and their velocities; inputs are forces on the cup.
 
-    The cup's weight is held by its rails; it is one of three straight walls. String and walls are stiff
-    springs, damped critically. All lengths but the string's are constants of this module.
+    The cup consists of three straight walls; rails support its weight. String and walls are stiff, critically
+    damped springs. All lengths except the string's are constants of this module.
 
     Parameters
     ----------
     string
-        Its length in m.
+        Length of the string in m.
     damping, friction
-        Of the cup's rails, and of the ball on the cup.
+        Damping of the cup's rails, and friction of the ball on the cup.
     string_rate, contact_rate
-        Of the springs that string and walls are, in rad/s.
+        Natural frequencies of the string's and the walls' springs, in rad/s.
     uncertainty
-        Of all these by name: the standard deviation of the logarithm or, where a value is zero, of the normal
-        distribution whose upper half is its prior.
+        Uncertainty of these by name: the standard deviation of the logarithm or, if a value is zero, of a
+        half-normal prior's underlying normal distribution.
     sub_step
-        At most, of the semi-implicit Euler method, in s.
+        Longest step of the semi-implicit Euler method, in s.
 
     Raises
     ------
     ValueError
-        If the task has not these states, or no parameter has such a name.
+        If the task does not have these states, or no parameter has such a name.
     """
 
     kernel: Kernel

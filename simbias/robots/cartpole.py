@@ -1,4 +1,4 @@
-"""A pole on a cart, from its equations of motion."""
+"""A pole on a cart, from the equations of motion."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from simbias.simulation.compiler import elementwise, sincos
 
 
 def _rates(x, u, parameters):
-    """Time derivatives of position, angle and their velocities: a thin rod that is hinged on the cart."""
+    """Time derivatives of position, angle and their velocities, for a thin rod hinged on the cart."""
     cart_mass, mass, length, cart_damping, hinge_damping, gravity = parameters
     _, angle, d_position, d_angle = x
     s, c = sincos(angle)
@@ -43,7 +43,7 @@ def _moved(x, rates, seconds):
 
 
 def _step(x, u, parameters):
-    """One frame by Runge and Kutta's method of order four, the force held."""
+    """One frame of the fourth-order Runge-Kutta method, with constant force."""
     seconds, constants = parameters[0], parameters[1:]
     k1 = _rates(x, u, constants)
     k2 = _rates(_moved(x, k1, seconds / 2), u, constants)
@@ -74,13 +74,14 @@ class CartPole(Nominal):
     Parameters
     ----------
     uncertainty
-        Of `cart_mass`, `pole_mass`, `length`, `cart_damping` and `hinge_damping`: the standard deviation of
-        the logarithm or, where a value is zero, of the normal distribution whose upper half is its prior.
+        Uncertainty of `cart_mass`, `pole_mass`, `length`, `cart_damping` and `hinge_damping`: the standard
+        deviation of the logarithm or, if a value is zero, of a half-normal prior's underlying normal
+        distribution.
 
     Raises
     ------
     ValueError
-        If the task has not these states, or no parameter has such a name.
+        If the task does not have these states, or no parameter has such a name.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""A planar double pendulum with friction: both joints are driven, the first or the second alone."""
+"""A planar double pendulum with friction; both joints, or only the first or the second, are driven."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from simbias.core.ranges import Acceleration, Inertia, Length, Mass, NonNegative
 from simbias.core.records import Array
 from simbias.simulation.compiler import arctan, elementwise, sincos
 
-SHARPNESS = 100.0  # s/rad, of Coulomb friction where the velocity changes its sign
+SHARPNESS = 100.0  # s/rad, of Coulomb friction at a sign change of the velocity
 Driven = Literal["both", "first", "second"]  # joints
 Zero = Literal["hanging", "upright"]  # where the first angle is 0
 
@@ -38,7 +38,7 @@ class Drives:
 
     damping_1: NonNegative = 0.0  # b, N m s/rad
     damping_2: NonNegative = 0.0
-    friction_1: NonNegative = 0.0  # Coulomb's, c_f of c_f arctan(100 v), N m
+    friction_1: NonNegative = 0.0  # Coulomb friction, c_f of c_f arctan(100 v), N m
     friction_2: NonNegative = 0.0
     rotor_inertia: NonNegative = 0.0  # I_r, kg m^2
     gear_ratio: Positive = 1.0
@@ -46,7 +46,7 @@ class Drives:
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Standard deviations: of the logarithm of what a link has, and of half-normals of what drives add."""
+    """Standard deviations: of logarithms of link parameters, and of half-normals for drive parameters."""
 
     masses: Spread = 0.0
     centres: Spread = 0.0
@@ -54,7 +54,7 @@ class Uncertainty:
     damping: NonNegative = 0.0  # N m s/rad
     friction: NonNegative = 0.0  # N m
     rotor_inertia: NonNegative = 0.0  # kg m^2
-    bodies: bool = False  # whether each link has to be one: of more inertia than mass and centre alone give
+    bodies: bool = False  # whether each link must have more inertia than a point mass at its centre
 
 
 _NOTHING = Drives()
@@ -76,20 +76,20 @@ _PRIORS: dict[str, tuple[str, str, Prior]] = {  # field of `Uncertainty`, unit, 
 
 @final
 class DoublePendulum(Nominal):
-    """States are both angles (rad, the second relative to the first) and their velocities.
+    """A double pendulum: states are both angles (rad, the second relative to the first) and their velocities.
 
-    A step is as many midpoint steps as keep below `sub_step` seconds. Its kernel is written by hand: by
-    traces of the same equations a step of a closed loop takes 32 to 41 ns in place of 28.
+    A frame is divided into midpoint steps of at most `sub_step` seconds. The kernel is hand-written: with a
+    traced one, a step of a closed loop takes 32 to 41 ns instead of 28.
 
     Parameters
     ----------
     driven
-        The joints that the task's inputs are torques on: both, or one alone.
+        The joints driven by the task's input torques: both, or only one.
 
     Raises
     ------
     ValueError
-        If the task has not four states, or not as many inputs as joints are driven.
+        If the task does not have four states, or not as many inputs as driven joints.
     """
 
     kernel: Kernel
@@ -114,7 +114,7 @@ class DoublePendulum(Nominal):
             )
         self._sub_steps = math.ceil(task.time_step / sub_step - 1e-9)
         self._time_step = task.time_step
-        self._gravity = gravity if zero == "hanging" else -gravity  # to turn the angle by pi turns gravity
+        self._gravity = gravity if zero == "hanging" else -gravity  # turning the angle by pi inverts gravity
         self._driven: Driven = driven
         self._values = {
             **{f"{field.name}_1": getattr(first, field.name) for field in fields(Link)},
@@ -130,7 +130,7 @@ class DoublePendulum(Nominal):
         self.kernel = self._compiled()
 
     def _compiled(self) -> Kernel:
-        """The step with the values that the model has."""
+        """The kernel of a step with the model's values."""
         h = self._time_step / self._sub_steps
         numbers = np.array([h, *_lumped(self._values, self._gravity)])
         return Kernel(_steps(self._sub_steps, self._driven), numbers)
@@ -142,7 +142,7 @@ class DoublePendulum(Nominal):
 
     @property
     def slack(self) -> Array:
-        """Logarithms (2,) of the links' inertias over what their masses and centres alone give."""
+        """Logarithms (2,) of the links' inertias relative to those of point masses at their centres."""
         if not self._bodies:
             return super().slack
         v = self._values
@@ -193,9 +193,9 @@ def _friction(v, damping, coulomb):
 
 
 def _velocities(v, u, at, h, parameters):
-    """Velocities a time h after v, with the forces of the state `at` but friction, which follows v linearly.
+    """Velocities a time h after v, with forces at the state `at`, but friction linearised about v.
 
-    So the step stays stable where friction is stiff.
+    The step therefore stays stable if friction is stiff.
     """
     _, a_1, a_2, a_3, rotor, gear, g_1, g_2, b_1, b_2, c_1, c_2 = parameters
     q_1, q_2, w_1, w_2 = at
@@ -222,7 +222,7 @@ _ON_JOINTS: dict[Driven, Callable] = {  # torques on both joints
 
 @cache
 def _steps(count: int, driven: Driven) -> Callable:
-    """So many midpoint steps (J. C. Butcher, Numerical Methods for ODEs, 2016, Section 232)."""
+    """A frame of `count` midpoint steps (J. C. Butcher, Numerical Methods for ODEs, 2016, Section 232)."""
     on_joints = _ON_JOINTS[driven]
 
     def step(x, u, parameters):

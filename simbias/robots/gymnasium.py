@@ -1,4 +1,4 @@
-"""An environment of Gymnasium in place of the robot."""
+"""A Gymnasium environment instead of the robot."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from simbias.simulation.compiler import Expression, Expressions
 from simbias.simulation.control_loop import Record, Robot, experiment
 from simbias.simulation.noise import QUIET, Noise, Variances
 
-TERMINATED = "terminated"  # a failure that only the environment knows of
+TERMINATED = "terminated"  # a failure that only the environment detects
 ExpressionList = Annotated[list[Expression], Field(min_length=1)]
 
 
@@ -25,7 +25,7 @@ ExpressionList = Annotated[list[Expression], Field(min_length=1)]
 class Start:
     """Expressions of the task's states that set an environment to a start.
 
-    MuJoCo's environments have positions and velocities, those of classic control a state.
+    MuJoCo environments have positions and velocities; those of classic control have a state.
     """
 
     qpos: ExpressionList | None = None
@@ -35,34 +35,34 @@ class Start:
 
 @final
 class Gymnasium(Hardware):
-    """An environment by its id. That it says `terminated` is a failure, besides those of the task.
+    """An environment, by its id. Its `terminated` is a failure, in addition to those of the task.
 
-    Rewards are of no interest, and nothing is truncated: the task's horizon counts.
+    Rewards are ignored, and nothing is truncated: the task's horizon applies.
 
     Parameters
     ----------
     environment
         Its id, as in `gymnasium.make`.
     options
-        Further arguments of the environment.
+        Additional arguments of the environment.
     states
         The task's states by name, as expressions of `observation[0]` and so on; by default the observation.
     action
         The components of the action, as expressions of the task's inputs; by default the inputs.
     start
-        What sets the environment to a start. Without it, an experiment begins where `reset` says.
+        Sets the environment to a start. Without it, an experiment begins at the state after `reset`.
     values, factors
-        Of an environment in MuJoCo: physical parameters that are set, and that are multiplied, by name
+        For MuJoCo environments: physical parameters to set, and factors to multiply them by, by name
         (`simbias.robots.mujoco.parameters`).
     noise
-        Variances on the inputs and on what the policy sees, by name (`Noise`).
+        Variances of noise on the inputs and on the states that the policy sees, by name (`Noise`).
     record
-        What cost and learning get to see: the true states, or the measured ones.
+        The states used by cost and learning: the true or the measured ones.
 
     Raises
     ------
     ValueError
-        If Gymnasium is not installed, or the environment does not go with the task.
+        If Gymnasium is not installed, or the environment does not fit the task.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class Gymnasium(Hardware):
         self._record = record
         self._environment = _make(environment, options or {})
         own = self._environment.unwrapped
-        self.simulates = type(own).__module__.partition(".")[0] == "gymnasium"  # others may drive a robot
+        self.simulates = type(own).__module__.partition(".")[0] == "gymnasium"  # others may drive robots
         if values or factors:
             if not hasattr(getattr(own, "model", None), "body_mass"):
                 raise ValueError(f"values and factors: {environment} is no environment in MuJoCo")
@@ -95,12 +95,12 @@ class Gymnasium(Hardware):
             )
         self._states = self._state_expressions(environment, states)
         self._action = _Action(self._environment.action_space, task, action, environment)
-        self._environment.reset(seed=0)  # some have no state before
+        self._environment.reset(seed=0)  # some have no state before a reset
         self._start = _start(own, task, start, environment)
         self.sets_start = self._start is not None
 
     def _state_expressions(self, name: str, states: dict[str, str] | None) -> Expressions:
-        """The task's states of an observation."""
+        """The task's states as expressions of an observation."""
         shape = self._environment.observation_space.shape
         if shape is None or len(shape) != 1:
             raise ValueError(
@@ -119,7 +119,7 @@ class Gymnasium(Hardware):
         return Expressions({name: states[name] for name in names}, seen)
 
     def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
-        """One experiment with theta (p,); the rollout's first state says where it began."""
+        """Run one experiment with theta (p,); the rollout's first state is its actual start."""
         noise = self._noise.draw(rng)
         observation, _ = self._environment.reset(seed=int(rng.integers(2**31)))
         x = self._states(np.asarray(observation, dtype=np.float64))
@@ -137,7 +137,7 @@ class _Action:
         names = [each.name for each in task.inputs]
         texts = {f"action[{i}]": text for i, text in enumerate(action or names)}
         self._expressions = Expressions(texts, names)
-        self._discrete = hasattr(space, "n") and hasattr(space, "start")  # which no MultiBinary has
+        self._discrete = hasattr(space, "n") and hasattr(space, "start")  # MultiBinary has no `start`
         if self._discrete:
             self._low = np.array([space.start], np.float64)
             self._high = self._low + (space.n - 1)
@@ -159,14 +159,14 @@ class _Action:
                 )
 
     def __call__(self, u: Array) -> Any:
-        """The action; what noise adds beyond the limits is cut off, as the environment's motors do."""
+        """The action, clipped to the limits after noise, like by the environment's motors."""
         action = np.clip(self._expressions(u), self._low, self._high)
         return round(float(action[0])) if self._discrete else action
 
 
 @dataclass(eq=False)
 class _Running(Robot):
-    """An experiment under way in the environment."""
+    """A running experiment in the environment."""
 
     task: Task
     environment: Any
@@ -185,17 +185,17 @@ class _Running(Robot):
         self.x = self.states(np.asarray(observation, dtype=np.float64))
 
     def failure(self) -> str | None:
-        """The task's criterion that it violates, or that it says `terminated`."""
+        """The violated criterion of the task, or `terminated`."""
         return self.task.failure(self.x) or (TERMINATED if self.terminated else None)
 
 
 def _make(name: str, options: dict[str, Any]) -> Any:
     gymnasium = library("gymnasium", "Gymnasium", "gymnasium")
-    if ":" in name:  # whose first part would be imported
+    if ":" in name:  # its first part would be imported
         raise ValueError(f"{quote(name)} names a module; only registered environments are made")
     try:
         return gymnasium.make(name, max_episode_steps=-1, disable_env_checker=True, **options)
-    except Exception as error:  # of an environment's own, too
+    except Exception as error:  # also an environment's own errors
         raise ValueError(f"{quote(name)}: {words(error)}") from error
 
 

@@ -1,4 +1,4 @@
-"""A planar hopper with one springy leg, from its equations of motion."""
+"""A planar hopper with one springy leg, from the equations of motion."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from simbias.core.ranges import Acceleration, Inertia, Mass, NonNegative, Positi
 from simbias.core.records import Array
 from simbias.simulation.compiler import at_least, at_most, elementwise, sincos
 
-# A leg, whose upper part turns about the hip and whose lower part, the foot, slides along it.
-UPPER_MASS, UPPER_CENTRE = 0.4, 0.12  # kg; m from the hip to its centre of mass
+# A leg; its upper part turns about the hip, and its lower part, the foot, slides along it.
+UPPER_MASS, UPPER_CENTRE = 0.4, 0.12  # kg; m from the hip to the centre of mass
 FOOT_MASS, FOOT_CENTRE = 0.2, 0.42
-LEG_INERTIA = 0.005  # kg m^2, of both about their own centres of mass
+LEG_INERTIA = 0.005  # kg m^2, of both parts about their own centres of mass
 LENGTH, RADIUS = 0.47, 0.03  # m from the hip to the centre of the foot's sole, a sphere of this radius
-CONTACT_RATE = 100.0  # rad/s, at which the sole comes out of the ground, damped critically
-EDGE = 1e-4  # m, of penetration up to which a contact comes to bear
+CONTACT_RATE = 100.0  # rad/s, natural frequency of the critically damped contact
+EDGE = 1e-4  # m, penetration at which a contact is fully effective
 _UNITS = {
     "torso_mass": "kg",
     "torso_inertia": "kg m^2",
@@ -34,9 +34,9 @@ _UNITS = {
 
 
 def _moved(mass, inertia, moment, along, across, turning, sliding):
-    """Accelerations of the hip along the leg and across it, of the leg's angle and of its length, by forces.
+    """Accelerations of the hip along and across the leg, and of the leg's angle and length, due to forces.
 
-    The torso's centre of mass is at the hip, so that along and across the leg are independent.
+    The torso's centre of mass is at the hip, so motions along and across the leg are independent.
     """
     determinant = mass * inertia - moment * moment
     a_across = (inertia * across - moment * turning) / determinant
@@ -49,7 +49,7 @@ def _accelerations(x, u, parameters):
     """Accelerations of x, z, pitch, hip and spring."""
     _, gravity, torso_mass, torso_inertia, stiffness, damping, hip_damping, friction = parameters
     _, z, pitch, hip, spring, v_x, v_z, d_pitch, d_hip, d_spring = x
-    sine, cosine = sincos(pitch + hip)  # of the leg, which points along (-sine, -cosine)
+    sine, cosine = sincos(pitch + hip)  # the leg points along (-sine, -cosine)
     turn = d_pitch + d_hip
     foot, sole = FOOT_CENTRE + spring, LENGTH + spring
     mass = torso_mass + UPPER_MASS + FOOT_MASS
@@ -66,7 +66,7 @@ def _accelerations(x, u, parameters):
         torque - gravity * moment * sine - coriolis * foot,
         u[1] - stiffness * spring - damping * d_spring + FOOT_MASS * (gravity * cosine + foot * turn * turn),
     )
-    # The sole: its velocity and acceleration along the leg and across, and what unit forces there add.
+    # The sole: velocity and acceleration along and across the leg, and the effect of unit forces there.
     v_along = -sine * v_x - cosine * v_z + d_spring
     v_across = -cosine * v_x + sine * v_z + sole * turn
     a_along = free[0] + free[3] - sole * turn * turn
@@ -74,7 +74,7 @@ def _accelerations(x, u, parameters):
     by_along = _moved(mass, inertia, moment, 1.0, 0.0, 0.0, 1.0)
     by_across = _moved(mass, inertia, moment, 0.0, 1.0, sole, 0.0)
     yields_along, yields_across = by_along[0] + by_along[3], by_across[1] + sole * by_across[2]
-    # In the world: the ground's force (f_x, f_z) lets the sole stop sliding and come out, if it can.
+    # In world axes: the ground's force (f_x, f_z) stops the sole's sliding and penetration, if it can.
     slip, rise = -sine * v_along - cosine * v_across, -cosine * v_along + sine * v_across
     depth = RADIUS - (z - sole * cosine)
     want_x = -CONTACT_RATE * slip + sine * a_along + cosine * a_across
@@ -102,7 +102,7 @@ def _accelerations(x, u, parameters):
 
 @cache
 def _frame(count: int) -> Callable:
-    """So many steps of the semi-implicit Euler method."""
+    """A frame of `count` steps of the semi-implicit Euler method."""
 
     def frame(x, u, parameters):
         """States a frame after x under u."""
@@ -119,29 +119,30 @@ def _frame(count: int) -> Callable:
 
 @final
 class Hopper(Nominal):
-    """States are x, z and pitch of the torso, hip, spring, and their rates; inputs act on these two.
+    """A hopper: states are torso x, z and pitch, hip, spring, and rates; inputs act on hip and spring.
 
-    The leg's angle is pitch + hip, clockwise from straight down; the spring's positive side lengthens it.
-    The ground takes what force stops the sole, as far as friction and its one side let it.
+    The leg's angle is pitch + hip, clockwise from straight down; positive spring values lengthen the leg. The
+    ground exerts the force that stops the sole, as far as friction and one-sided contact allow.
 
     Parameters
     ----------
     torso_mass, torso_inertia
-        Of the torso, whose centre of mass is the hip. The leg's masses are constants of this module.
+        Mass and inertia of the torso, whose centre of mass is at the hip. The leg's masses are constants of
+        this module.
     stiffness, damping
-        Of the leg's spring.
+        Stiffness and damping of the leg's spring.
     hip_damping, friction
-        Of the hip, and of the sole on the ground.
+        Damping of the hip, and friction of the sole on the ground.
     uncertainty
-        Of these by name: the standard deviation of the logarithm or, where a value is zero, of the normal
-        distribution whose upper half is its prior.
+        Uncertainty of these by name: the standard deviation of the logarithm or, if a value is zero, of a
+        half-normal prior's underlying normal distribution.
     sub_step
-        At most, of the semi-implicit Euler method, in s.
+        Longest step of the semi-implicit Euler method, in s.
 
     Raises
     ------
     ValueError
-        If the task has not these states, or no parameter has such a name.
+        If the task does not have these states, or no parameter has such a name.
     """
 
     kernel: Kernel

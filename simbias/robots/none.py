@@ -1,4 +1,4 @@
-"""No model: f' = 0, so that the whole dynamics is learned from data."""
+"""No model: f' = 0, so that all dynamics are learned from data."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ class NoNominal(Nominal):
     Parameters
     ----------
     kinematics
-        Positions move by their rates, as rates are defined; only what changes these is left to be learned.
+        Whether positions follow from their rates; then only changes of the rates are left to learn.
 
     Raises
     ------
     ValueError
-        If positions are to move, and the task has not a rate for each: a state in its unit per second.
+        If `kinematics` is set, and a position lacks a rate: a state in its unit per second.
     """
 
     def __init__(self, task: Task, kinematics: bool = False) -> None:
-        self._moves = np.zeros((len(task.states), len(task.states)))  # change of x in a frame, by x itself
+        self._moves = np.zeros((len(task.states), len(task.states)))  # change per frame, linear in x
         if kinematics:
             rates, positions = rates_and_positions(task.states)
             self._moves[rates, positions] = task.time_step

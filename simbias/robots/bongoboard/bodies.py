@@ -1,4 +1,4 @@
-"""The bongoboard in any physics engine: its bodies, where they begin, and which of them touch."""
+"""The bongoboard for any physics engine: its bodies, their initial motion, and which of them touch."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ Feet = Literal["plate", "separate", "fixed"]
 Place = Sequence[float]  # x, y in m and global angle in rad
 Turn = Sequence[float]  # global angle in rad, and its rate
 
-SETTLING_STEPS = 20  # of the first frame, repeated: a solver goes on from the forces it last found
+SETTLING_STEPS = 20  # repetitions of the first frame: a solver starts from its last forces
 FLOOR_END = 10.0  # m, on either side
-ROTORS = "left rotor", "right rotor"  # of the motors, where there is play between them and the legs
-ROTOR_MASS = 1e-3  # kg; what the motors weigh is in the legs
+ROTORS = "left rotor", "right rotor"  # of the motors, if there is backlash between them and the legs
+ROTOR_MASS = 1e-3  # kg; the motors' mass is included in the legs
 
-# What touches what; legs and pelvis have no shape.
+# Pairs of bodies that touch; legs and pelvis have no shape.
 FLOOR, WHEEL, BOARD, FOOT = 1, 2, 4, 8
 TOUCHES = {FLOOR: WHEEL | BOARD, WHEEL: FLOOR | BOARD, BOARD: FLOOR | WHEEL | FOOT, FOOT: BOARD}
 
 
 @dataclass(frozen=True)
 class Assembly:
-    """The bodies of a bongoboard as an engine begins with them; a payload is one body with the pelvis."""
+    """The bodies of a bongoboard at the start of an engine; a payload forms one body with the pelvis."""
 
     task: Bongoboard
     scale: float = 1.0  # of every mass and moment of inertia of the robot
@@ -64,9 +64,9 @@ class Assembly:
         return scaled
 
     def places(self, angles: Array) -> dict[str, Array]:
-        """Centre (x, y) and global angle of every body, (3,), at (alpha_w, alpha_b, theta), real or complex.
+        """Centre (x, y) and global angle (3,) of every body, at (alpha_w, alpha_b, theta), real or complex.
 
-        Bodies in contact overlap by half of what they may, so that they touch from the first frame on.
+        Bodies in contact overlap by half the allowed overlap, so that they touch from the first frame on.
         """
         robot, pose, gaps = self.task.robot, self.task.pose(angles), self.gaps
         phi = pose.board_angle
@@ -102,13 +102,13 @@ class Assembly:
 
 
 def state_of(wheel: Turn, board: Turn, left: Turn, right: Turn) -> list[float]:
-    """The task's state (6,) of the bodies' global angles and rates: wheel, board and legs."""
+    """The task's state (6,) from the global angles and rates of wheel, board and legs."""
     each = zip(wheel, board, left, right, strict=True)  # angles, then rates
     return [part for w, b, one, other in each for part in (w, b - w, (one + other) / 2 - b)]
 
 
 def contact(robot: Robot, wheel: Place, board: Place) -> tuple[float, float]:
-    """Depth (m) of the board's lowest corner in the floor, and gap (m) between wheel and board."""
+    """Penetration (m) of the board's lowest corner into the floor, and gap (m) between wheel and board."""
     half_length, half_thickness = robot.board_length / 2, robot.board_thickness / 2
     wheel_x, wheel_y, _ = wheel
     x, y, angle = board

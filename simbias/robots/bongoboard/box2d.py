@@ -1,4 +1,4 @@
-"""The bongoboard in Box2D, another 2D physics engine in place of the robot."""
+"""The bongoboard in Box2D, another 2D physics engine instead of the robot."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from simbias.robots.bongoboard.task import Bongoboard, Robot
 from simbias.simulation.control_loop import Record
 from simbias.simulation.noise import QUIET, Variances
 
-UNIT = 0.01  # m: the engine lets bodies overlap by 0.005 of its units, whatever they are
-SKIN = 0.01  # units by which it surrounds polygons and edges
+UNIT = 0.01  # m: the engine lets bodies overlap by 0.005 of its units
+SKIN = 0.01  # units, skin around polygons and edges
 OVERLAP = 0.005 * UNIT  # m
 
 
 def box2d() -> Any:
-    """Box2D, imported when it is needed; ValueError if it is not installed."""
+    """Import Box2D when needed; ValueError if it is not installed."""
     return library("Box2D", "Box2D", "box2d")
 
 
@@ -38,15 +38,15 @@ def box2d() -> Any:
 class Box2dBongoboard(EngineBongoboard):
     """Wheel, board, foot plate, two legs and pelvis as rigid bodies; the plate stands by contact.
 
-    The engine works in single precision. A step finds velocities first and then moves by them, as that of the
-    Lagrangian model does.
+    The engine works in single precision. Its steps compute velocities first and then move bodies by them,
+    like the Lagrangian model's.
 
     Parameters
     ----------
     task, inertia_error, noise, record, detachment
-        As of every `EngineBongoboard`; a frame is one step of the engine.
+        As for every `EngineBongoboard`; a frame is one step of the engine.
     iterations
-        Of the engine's solver in each frame.
+        Iterations of the engine's solver in each frame.
 
     Raises
     ------
@@ -68,12 +68,12 @@ class Box2dBongoboard(EngineBongoboard):
         self._iterations = iterations
 
     def build(self, start: Array) -> World:
-        """The engine's world at a start (6,), as an experiment begins with it."""
+        """The engine's world at an experiment's start (6,)."""
         return World(self._assembly, start, self._iterations)
 
 
 class World:
-    """The engine's world in the pose and motion of a start (6,), contact forces found."""
+    """The engine's world in the pose and motion of a start (6,), with settled contact forces."""
 
     def __init__(self, assembly: Assembly, start: Array, iterations: int) -> None:
         robot, inertias = assembly.task.robot, assembly.inertias()
@@ -98,14 +98,14 @@ class World:
             self._put(begin)
 
     def _put(self, begin: dict[str, tuple[Array, Array]]) -> None:
-        """Give the bodies their places and velocities."""
+        """Set the bodies' places and velocities."""
         for name, body in self.bodies.items():
             (x, y, angle), (d_x, d_y, d_angle) = (part.tolist() for part in begin[name])
             body.transform = ((x / UNIT, y / UNIT), angle)
             body.linearVelocity, body.angularVelocity = (d_x / UNIT, d_y / UNIT), d_angle
 
     def _add_shapes(self, robot: Robot) -> None:
-        """The shapes of floor, wheel, board and foot plate; polygons without their skin are smaller by it."""
+        """Add the shapes of floor, wheel, board and foot plate; polygons are made smaller by their skin."""
         engine = box2d()
 
         def box(length: float, height: float) -> Any:
@@ -133,7 +133,7 @@ class World:
         self._world.Step(self._time_step, self._iterations, self._iterations)
 
     def state(self) -> list[float]:
-        """State (6,) of the task, of the bodies' angles and rates."""
+        """The task's state (6,), from the bodies' angles and rates."""
         bodies = (self.bodies[name] for name in ("wheel", "board", "left leg", "right leg"))
         return state_of(*((body.angle, body.angularVelocity) for body in bodies))
 

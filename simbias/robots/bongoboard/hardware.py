@@ -1,4 +1,4 @@
-"""The bongoboard in a physics engine, whichever: experiments on it, and when they have failed."""
+"""The bongoboard in any physics engine: experiments on it, and their failure."""
 
 from __future__ import annotations
 
@@ -21,38 +21,38 @@ from simbias.simulation.noise import Noise, Sensor, Variances
 InertiaError = Annotated[float, Field(ge=-0.99, le=100)]
 Depth = Annotated[float, Field(ge=1e-9, le=1.0)]  # m
 
-ABSURD = 1e3  # rad, rad/s: no body gets there within a frame but by numerical instability
+ABSURD = 1e3  # rad, rad/s: reached within a frame only by numerical instability
 
 
 class World(Protocol):
-    """An engine's world, set to a start."""
+    """An engine's world, initialised to a start."""
 
     def step(self, torque: float) -> None:
         """One frame under an ankle torque (N m), half on each leg."""
 
     def state(self) -> list[float]:
-        """The task's state (6,), of the bodies' angles and rates."""
+        """The task's state (6,), from the bodies' angles and rates."""
 
     def wheel_and_board(self) -> tuple[Place, Place]:
         """Centre x, y (m) and global angle of wheel and board."""
 
 
 class EngineBongoboard(Hardware):
-    """A bongoboard that an engine moves.
+    """A bongoboard that is simulated by an engine.
 
     Parameters
     ----------
     inertia_error
         Every mass and moment of inertia is multiplied by 1 + inertia_error.
     overlap, feet, gaps
-        As of its `Assembly`. Motor and sensors among the gaps are here; the rest is the world's.
+        As in its `Assembly`. Gaps of motor and sensors are handled here, the rest in the world.
     noise
-        Variances on the torque and on what the policy sees, by name (`Noise`).
+        Variances of noise on the torque and on the states that the policy sees, by name (`Noise`).
     record
-        What cost and learning get to see: the true states, or the measured ones, as of a real robot. Failure
-        is judged by the true states all the same: someone sees the robot fall.
+        The states used by cost and learning: the true ones, or the measured ones, as on a real robot. Failure
+        is always judged by the true states, as a person would see the robot fall.
     detachment
-        Gap, in m, above which the board has left the wheel; contacts flicker below it.
+        Gap in m above which the board has left the wheel; below it, contacts flicker.
     """
 
     def __init__(
@@ -76,16 +76,16 @@ class EngineBongoboard(Hardware):
 
     @abstractmethod
     def build(self, start: Array) -> World:
-        """The engine's world at a start (6,), as an experiment begins with it."""
+        """The engine's world at an experiment's start (6,)."""
 
     def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
-        """One experiment with theta (p,) from start (6,); its cost is not set."""
+        """Run one experiment with theta (p,) from start (6,); its cost is not set."""
         robot, noise = _Running(self, start), self._noise.draw(rng)
         return experiment(self.task, robot, policy, theta, noise, self._record)
 
 
 class _Running(Robot):
-    """The robot under way; its world is built by the first frame."""
+    """The running robot; its world is built in the first frame."""
 
     def __init__(self, hardware: EngineBongoboard, start: Array) -> None:
         self._hardware, self._task, self._motor = hardware, hardware.task, hardware.motor
@@ -103,7 +103,7 @@ class _Running(Robot):
         return self._hardware.sensor.read(self._states, len(self._states) - 1)
 
     def step(self, u: Array) -> None:
-        """Step the world by one frame, under what the motor makes of u (1,)."""
+        """Step the world by one frame, under the motor's output for u (1,)."""
         if self._world is None:
             self._world = self._hardware.build(self._states[0])
         if not self._motor.ideal:
@@ -114,14 +114,14 @@ class _Running(Robot):
         self._states.append(np.array(x if stable else [math.nan] * 6))
 
     def failure(self) -> str | None:
-        """The criterion of Section IV-C that it violates; the contacts (1, 2) are the engine's."""
+        """The violated criterion of Section IV-C; the contacts (1, 2) are checked in the engine."""
         x = self._states[-1]
         if self._world is None:
             measures = self._task.measure(x).tolist()
         else:
             depth, gap = contact(self._task.robot, *self._world.wheel_and_board())
             measures = (depth, gap - self._hardware.detachment, *deviations(x.tolist()))
-        for i, limit in enumerate(self._limits):  # quicker than in NumPy
+        for i, limit in enumerate(self._limits):  # faster than NumPy
             if not measures[i] <= limit:
                 return self._task.criteria[i].name
         return None

@@ -1,6 +1,6 @@
-"""Equations of motion of the disturbed bongoboard: what damps, springs and rubs, and a payload.
+"""Equations of motion of the disturbed bongoboard: damping, stiffness, friction and a payload.
 
-Their parameters are the time step, those of `LOSSES`, and the lumped coefficients.
+The parameters are the time step, those of `LOSSES`, and the lumped coefficients.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from simbias.robots.bongoboard.disturbed_equations import coefficients
 from simbias.robots.bongoboard.task import Robot
 
 LOSSES = ("ankle_damping", "ankle_stiffness", "ankle_friction", "rolling_resistance")
-DRY = ("ankle_friction", "rolling_resistance")  # those that do not fade as the robot comes to rest
-_FIRST = 1 + len(LOSSES)  # of the lumped coefficients; Numba slices tuples by constants alone
-_EQUATIONS = len(LOSSES)  # where those of the equations begin: with a number in place of the time step
-_SLIDING = 0.05  # rad/s, at which dry friction has 0.7 of its strength: a step that is not sudden
+DRY = ("ankle_friction", "rolling_resistance")  # losses that do not vanish at rest
+_FIRST = 1 + len(LOSSES)  # index of the first lumped coefficient; Numba slices tuples only by constants
+_EQUATIONS = len(LOSSES)  # start of the equations' parameters, with a placeholder for the time step
+_SLIDING = 0.05  # rad/s, at which dry friction has 0.7 of its strength: a smoothed step
 
 
 def parameters(robot: Robot, time_step: float, values: Mapping[str, float]) -> Array:
     """Parameters of the equations for these values of `LOSSES`, foot mass, slope and payload.
 
-    Pelvis and payload are one rigid body, whose centre of mass is off the pelvis' middle.
+    Pelvis and payload are one rigid body, with its centre of mass away from the pelvis' middle.
     """
     pelvis, payload = robot.pelvis_mass, values["payload_mass"]
     x, y = values["payload_x"], values["payload_y"]
@@ -51,5 +51,5 @@ def _loads(x, u, parameters):
 
 
 def _direction(rate):
-    """-1 to 1, the sign of a rate that is not small."""
+    """The smoothed sign of a rate, from -1 to 1."""
     return rate / np.sqrt(rate * rate + _SLIDING * _SLIDING)

@@ -35,21 +35,20 @@ _CERTAIN = Uncertainty()
 class LagrangianBongoboard(Nominal):
     """f' of Eq. 1: perfect rolling, perfect joints, feet of `foot_mass` kg glued to the board.
 
-    The kernel's parameters are the time step and the lumped coefficients of the robot, so that a robot with
-    other masses needs other parameters only. It is no faster than the trace of `step`, but rounds as the
-    published trials did. Slope, losses, payload and motor are as if they were not there,
-    and cost nothing, unless they are uncertain.
+    The kernel's parameters are the time step and the robot's lumped coefficients, so that other masses change
+    only parameters. It is no faster than the trace of `step`, but rounds as in the published trials. Slope,
+    losses, payload and motor are absent, at no cost, unless they are uncertain.
 
     Parameters
     ----------
     sampled
-        Names of the uncertainties that `draw` samples; None is all of them. The others stay as declared until
-        they are identified: no policy may hold on all that a wide prior allows.
+        Names of the uncertainties that `draw` samples; None: all. The others stay as declared until they are
+        identified, as no policy may hold on everything that a wide prior allows.
 
     Raises
     ------
     ValueError
-        If the delay may be too many frames to remember, or no uncertainty has a name.
+        If the delay may exceed the memory, or a name belongs to no uncertainty.
     """
 
     kernel: Kernel
@@ -71,9 +70,9 @@ class LagrangianBongoboard(Nominal):
         self._build({}, self._names if sampled is None else sampled)
 
     def _build(self, values: Mapping[str, float], present: Collection[str]) -> None:
-        """Take values of some parameters, the others as declared, for the kernel.
+        """Build the kernel from values of some parameters, with the others as declared.
 
-        Of losses, payload and motor, it has those that are present, or none if none of a kind is.
+        It includes losses, payload and motor only as far as they are present.
         """
         self._known = known = {**self._declared, **values}
         self._present = present
@@ -103,16 +102,16 @@ class LagrangianBongoboard(Nominal):
         return changed
 
     def without_dry_friction(self) -> LagrangianBongoboard:
-        """The model without friction of the ankles and rolling resistance."""
+        """The model without ankle friction and rolling resistance."""
         return self._with({**self._known, **dict.fromkeys(losses.DRY, 0.0)}, self._present)
 
     def draw(self, rng: np.random.Generator) -> LagrangianBongoboard:
-        """A model as uncertain as declared: masses and inertias, each on its own, the feet's, and the rest.
+        """Draw a model from the declared uncertainty: masses and inertias independently, the feet, the rest.
 
-        What is added to the uncertainty changes nothing in what was drawn before.
+        Further uncertainties do not change the earlier draws.
         """
         uncertainty = self._drawn
-        masses = [*MASSES[:2], "foot_mass", *MASSES[2:]]  # a draw for the feet, too, though another is used
+        masses = [*MASSES[:2], "foot_mass", *MASSES[2:]]  # includes an unused draw for the feet
         factors = np.exp(uncertainty.masses * rng.standard_normal(len(masses)))
         drawn = dict(zip(masses, (factors * [self._declared[name] for name in masses]).tolist(), strict=True))
         foot_mass = rng.uniform(0.0, uncertainty.foot_mass)
@@ -130,18 +129,18 @@ class LagrangianBongoboard(Nominal):
         return self._stepped(x, u if self._actuators is None else self._actuators.settled(u))
 
     def advance(self, x: Array, u: Array, model_state: Array) -> tuple[Array, Array]:
-        """x_next (..., 6) under what the motor makes of u (..., 1), and the model state (..., s)."""
+        """x_next (..., 6) under the motor's output for u (..., 1), and the model state (..., s)."""
         if self._actuators is None:
             return self._stepped(x, u), model_state
         acting, model_state = self._actuators.acting(u, model_state)
         return self._stepped(x, acting), model_state
 
     def model_states(self, states: Array, inputs: Array) -> Array:
-        """Memory (k, s) in each frame of a record, from its start on: what the motor makes of the inputs."""
+        """The motor's memory (k, s) of the inputs in each frame of a record."""
         return np.empty((len(inputs), 0)) if self._actuators is None else self._actuators.model_states(inputs)
 
     def _stepped(self, x: Array, torque: Array) -> Array:
-        """x_next (..., 6) under a torque (..., 1) that acts."""
+        """x_next (..., 6) under an acting torque (..., 1)."""
         return elementwise(self._mechanics.function, x, torque, parameters=self._mechanics.parameters)
 
     @property

@@ -1,4 +1,4 @@
-"""The bongoboard in MuJoCo, in three dimensions, in place of the robot."""
+"""The bongoboard in MuJoCo, in three dimensions, instead of the robot."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from simbias.robots.mujoco.parameters import mujoco
 from simbias.simulation.control_loop import Record
 from simbias.simulation.noise import QUIET, Variances
 
-WIDTH = 0.3  # m, of wheel, board and foot plate: out of the plane in which everything moves
-STIFFNESS = 4  # steps of the engine in which contacts and joints recover from an error
-LEGS = [9, 11]  # among the positions
+WIDTH = 0.3  # m, of wheel, board and foot plate, perpendicular to the plane of motion
+STIFFNESS = 4  # engine steps in which contacts and joints correct an error
+LEGS = [9, 11]  # indices among the positions
 SLIDES = {"x": "1 0 0", "z": "0 0 1"}
 OVERLAP = 2e-6  # m at the start, so that bodies touch from the first frame on
 
@@ -27,14 +27,14 @@ class MujocoBongoboard(EngineBongoboard):
     """Wheel, board, foot plate, two legs and pelvis as rigid bodies, each of which moves in one plane.
 
     Wheel, board and plate touch by contacts with three-dimensional friction; the parallelogram of legs and
-    pelvis is one of joints. MuJoCo's constraints are soft: contacts give way a little.
+    pelvis is made of joints. MuJoCo's constraints are soft: contacts give way a little.
 
     Parameters
     ----------
     task, inertia_error, noise, record, detachment
-        As of every `EngineBongoboard`.
+        As for every `EngineBongoboard`.
     steps
-        Of the engine in each frame.
+        Engine steps per frame.
 
     Raises
     ------
@@ -56,7 +56,7 @@ class MujocoBongoboard(EngineBongoboard):
         self.model = mujoco().MjModel.from_xml_string(mjcf(self._assembly, steps))
 
     def build(self, start: Array) -> World:
-        """The engine's world at a start (6,), as an experiment begins with it."""
+        """The engine's world at an experiment's start (6,)."""
         return World(self._assembly, self.model, start, self._steps)
 
 
@@ -82,7 +82,7 @@ class World:
         mujoco().mj_step(self._model, self.data, nstep=self._steps)
 
     def state(self) -> list[float]:
-        """State (6,) of the task, of the engine's positions and velocities."""
+        """The task's state (6,), from the engine's positions and velocities."""
         turns = np.stack([self.data.qpos, self.data.qvel], axis=1)
         leg = (turns[8] + turns[LEGS].mean(axis=0)).tolist()
         return state_of(turns[2].tolist(), turns[5].tolist(), leg, leg)
@@ -94,7 +94,7 @@ class World:
 
 
 def mjcf(assembly: Assembly, steps: int) -> str:
-    """The robot as MJCF; angles are counter-clockwise, seen with x to the right and z up."""
+    """The robot as MJCF; angles are counter-clockwise when x points right and z up."""
     robot, seconds = assembly.task.robot, assembly.task.time_step / steps
     soft = f'solref="{STIFFNESS * seconds} 1" solimp="0.99 0.999 0.0001"'
     return f"""
@@ -117,7 +117,7 @@ def mjcf(assembly: Assembly, steps: int) -> str:
 
 
 def _bodies(robot: Robot, masses: dict[str, tuple[float, float]]) -> str:
-    """Floor, wheel, board and foot plate, which carries the legs, and the left one the pelvis."""
+    """Floor, wheel, board and foot plate; the plate carries the legs, and the left leg the pelvis."""
     mass, inertia = masses["pelvis"]
     pelvis = (
         f'<body name="pelvis" pos="0 0 {robot.leg_length}">{_hinge("hip")}'
@@ -146,12 +146,12 @@ def _bodies(robot: Robot, masses: dict[str, tuple[float, float]]) -> str:
 
 def _inertial(mass: float, inertia: float, height: float = 0.0) -> str:
     """Mass (kg), moment of inertia (kg m^2), and height (m) of the centre above the body's origin."""
-    other = 0.6 * inertia  # about the axes in the plane, around which nothing turns
+    other = 0.6 * inertia  # about the in-plane axes, around which nothing turns
     return f'<inertial mass="{mass}" pos="0 0 {height}" diaginertia="{other} {inertia} {other}"/>'
 
 
 def _hinge(name: str) -> str:
-    """MJCF of a joint that turns in the plane."""
+    """MJCF of a hinge in the plane of motion."""
     return f'<joint name="{name}" type="hinge" axis="0 -1 0"/>'
 
 
@@ -162,12 +162,12 @@ def _plane(name: str) -> str:
 
 
 def _box(name: str, length: float, height: float) -> str:
-    """The shape of board or foot plate."""
+    """MJCF of the shape of the board or the foot plate."""
     return f'<geom name="{name}" type="box" size="{length / 2} {WIDTH / 2} {height / 2}"/>'
 
 
 def _pairs(friction: float, soft: str) -> str:
-    """Pairs of shapes that may touch, with their friction."""
+    """MJCF of the pairs of shapes that may touch, with their friction."""
     return "".join(
         f'<pair geom1="{a}" geom2="{b}" condim="3" friction="{friction} {friction} 0 0 0" {soft}/>'
         for a, b in (("floor", "wheel"), ("floor", "board"), ("wheel", "board"), ("board", "foot"))

@@ -1,7 +1,7 @@
-"""The bongoboard in pymunk, a 2D physics engine in place of the robot (Section VI-A).
+"""The bongoboard in pymunk, a 2D physics engine instead of the robot (Section VI-A).
 
-The engine (Chipmunk) works in maximal coordinates: contacts and joints are impulses, found by iteration. Its
-step moves all bodies by their velocities first and then finds the new velocities.
+The engine (Chipmunk) works in maximal coordinates: contacts and joints are impulses, solved iteratively. Its
+step first moves all bodies by their velocities and then computes the new velocities.
 """
 
 from __future__ import annotations
@@ -46,11 +46,11 @@ from simbias.robots.bongoboard.task import Bongoboard, Robot
 from simbias.simulation.control_loop import Record
 from simbias.simulation.noise import QUIET, Variances
 
-# `body.torque = torque` takes two calls more, in every frame.
+# `body.torque = torque` would take two more calls in every frame.
 _set_torque: Callable[[Body, float], None] = vars(Body)["torque"].fset
 
-# How the engine is run, chosen for the best agreement of fixed feet with the Lagrangian model.
-ERROR_LEFT = 0.8**1000  # of an error in joints or contacts after 1 s: 20% are corrected in each millisecond
+# Engine settings, chosen for the best agreement of fixed feet with the Lagrangian model.
+ERROR_LEFT = 0.8**1000  # share of a joint or contact error left after 1 s: 20% are corrected per millisecond
 
 
 @final
@@ -60,16 +60,16 @@ class PymunkBongoboard(EngineBongoboard):
     Parameters
     ----------
     task, inertia_error, noise, record, detachment
-        As of every `EngineBongoboard`; a frame is one step of the engine.
+        As for every `EngineBongoboard`; a frame is one step of the engine.
     feet
         "plate": one plate under both ankles; "separate": the plate cut in two, an ankle above the middle of
         each half; "fixed": the plate joined to the board, as in the Lagrangian model.
     iterations
-        Of the engine's solver in each frame.
+        Iterations of the engine's solver in each frame.
     overlap
-        How deep, in m, bodies in contact may overlap.
+        Depth, in m, by which bodies in contact may overlap.
     gaps
-        What it has and its model has not (`Gaps`). Noise on the torque passes the motor, too.
+        Differences from its model (`Gaps`). Noise on the torque also passes through the motor.
     """
 
     def __init__(
@@ -88,12 +88,12 @@ class PymunkBongoboard(EngineBongoboard):
         self._iterations = iterations
 
     def build(self, start: Array) -> World:
-        """The engine's world at a start (6,), as an experiment begins with it."""
+        """The engine's world at an experiment's start (6,)."""
         return World(self._assembly, start, self._iterations)
 
 
 class World:
-    """The engine's world in the pose and motion of a start (6,), contact forces found; one per experiment."""
+    """The engine's world in the pose and motion of a start (6,), contacts settled; one per experiment."""
 
     def __init__(self, assembly: Assembly, start: Array, iterations: int) -> None:
         robot, feet, gaps = assembly.task.robot, assembly.feet, assembly.gaps
@@ -136,7 +136,7 @@ class World:
         self._space.step(self._time_step)
 
     def state(self) -> list[float]:
-        """State (6,) of the task, of the bodies' angles and rates."""
+        """The task's state (6,), from the bodies' angles and rates."""
         bodies = (self._wheel, self._board, *self._legs)
         return state_of(*((body.angle, body.angular_velocity) for body in bodies))
 
@@ -146,7 +146,7 @@ class World:
         return (*wheel.position, wheel.angle), (*board.position, board.angle)
 
     def _friction(self, gaps: Gaps) -> list[Constraint]:
-        """Dry friction at the ankles and below the wheel: motors that brake, as strong as that."""
+        """Dry friction at the ankles and below the wheel, as braking motors of limited strength."""
         brakes = [(leg, foot, gaps.ankle_friction / 2) for leg, foot in self._ankles]
         brakes.append((self._wheel, self._space.static_body, gaps.rolling_resistance))
         motors: list[Constraint] = []
@@ -158,7 +158,7 @@ class World:
 
 
 def _put(bodies: dict[str, Body], begin: dict[str, tuple[Array, Array]]) -> None:
-    """Give the bodies their places and velocities."""
+    """Set the bodies' places and velocities."""
     for name, body in bodies.items():
         (x, y, angle), (d_x, d_y, d_angle) = begin[name]
         body.position, body.angle = (x, y), angle
@@ -183,7 +183,7 @@ def _joints(robot: Robot, bodies: dict[str, Body], feet: Feet) -> list[PivotJoin
 
 
 def _gears(bodies: dict[str, Body], backlash: float) -> list[Constraint]:
-    """Rotors that turn about the legs' centres, as far as the play goes."""
+    """Rotors that turn about the legs' centres, within the backlash."""
     joints: list[Constraint] = []
     for leg, rotor in ((bodies["left leg"], bodies[ROTORS[0]]), (bodies["right leg"], bodies[ROTORS[1]])):
         joints.append(PivotJoint(leg, rotor, (0.0, 0.0), (0.0, 0.0)))
@@ -206,7 +206,7 @@ def _shapes(robot: Robot, bodies: dict[str, Body], feet: Feet, ground: Body) -> 
         shapes += [(FOOT, Poly.create_box(bodies[name], sole)) for name in names]
     for kind, shape in shapes:
         shape.filter = ShapeFilter(categories=kind, mask=TOUCHES[kind])
-        shape.friction = math.sqrt(robot.friction)  # a contact's friction is the product of the two
+        shape.friction = math.sqrt(robot.friction)  # a contact's friction is the product of both shapes'
     return [shape for _, shape in shapes]
 
 

@@ -46,7 +46,7 @@ class Robot:
     foot_length: Length  # m
     foot_mass: Mass  # kg, all feet together
     leg_length: Length  # l, m
-    leg_mass: Mass  # kg, each of the two; a thin rod
+    leg_mass: Mass  # kg, of each leg; a thin rod
     pelvis_mass: Mass  # kg, with the upper body
     pelvis_inertia: Inertia  # kg m^2 about its centre
     ankle_spacing: Length  # m between the two ankles
@@ -56,7 +56,7 @@ class Robot:
 
 @dataclass(frozen=True)
 class Start:
-    """Where a run starts; the deviation is that of hardware experiments, in each state."""
+    """The start of a run; the deviation applies to each state in hardware experiments."""
 
     mean: SixNumbers
     deviation: NonNegative
@@ -73,7 +73,7 @@ class Limits:
 
 
 class Pose(NamedTuple):
-    """Where the bodies are: points (x, y) in m and global angles in rad."""
+    """Positions of the bodies: points (x, y) in m and global angles in rad."""
 
     wheel: Array
     board: Array
@@ -85,7 +85,7 @@ class Pose(NamedTuple):
 
 
 def _contacts(x, lengths):
-    """Measures of the criteria 1 and 2 of Section IV-C, by geometry."""
+    """Measures of criteria 1 and 2 of Section IV-C, by geometry."""
     wheel_radius, board_length, board_thickness = lengths
     alpha_b, phi = x[1], x[0] + x[1]
     s, c = sincos(phi)
@@ -95,7 +95,7 @@ def _contacts(x, lengths):
 
 
 def deviations(x):
-    """Measures of the criteria 3-6: how far and how fast the robot is from the static equilibrium."""
+    """Measures of criteria 3-6: distance from the static equilibrium, and speed."""
     alpha_w, alpha_b, theta, d_alpha_w, d_alpha_b, d_theta = x
     phi = alpha_w + alpha_b
     return (
@@ -107,12 +107,12 @@ def deviations(x):
 
 
 def _measure(x, lengths):
-    """Measures of the criteria 1-6."""
+    """Measures of criteria 1-6."""
     return _contacts(x, lengths) + deviations(x)
 
 
 def _output(x, lengths):
-    """Outputs z of Fig. 3(b): the pelvis' horizontal position and velocity, the ankle's, the foot's angle."""
+    """Outputs z of Fig. 3(b): horizontal position and velocity of pelvis and ankle, and the foot's angle."""
     r, height, leg_length = lengths  # height: from wheel's centre to ankles
     alpha_w, alpha_b, theta, d_alpha_w, d_alpha_b, d_theta = x
     phi, d_phi = alpha_w + alpha_b, d_alpha_w + d_alpha_b
@@ -133,7 +133,7 @@ def _output(x, lengths):
 class Bongoboard(Task):
     """Balance for `horizon` frames of `time_step` seconds with an ankle torque within `input_limit` N m.
 
-    Policies feed back the outputs of Fig. 3(b), which leave out how fast the board turns, or all states.
+    Policies feed back all states, or the outputs of Fig. 3(b), which lack the board's angular velocity.
     """
 
     states = (
@@ -193,11 +193,11 @@ class Bongoboard(Task):
             self.outputs = self.states
 
     def measure(self, x: Array) -> Array:
-        """Measures (..., 6) of the criteria 1-6 of Section IV-C at states x (..., 6)."""
+        """Measures (..., 6) of criteria 1-6 of Section IV-C at states x (..., 6)."""
         return elementwise(_measure, x, parameters=self._lengths[_measure])
 
     def output(self, x: Array) -> Array:
-        """Outputs z (..., 5) at states x (..., 6) (Fig. 3(b)), or these themselves."""
+        """Outputs z (..., 5) at states x (..., 6) (Fig. 3(b)), or the states themselves."""
         if self.outputs == self.states:
             return x.copy()
         return elementwise(_output, x, parameters=self._lengths[_output])

@@ -23,8 +23,8 @@ def draw(
 ) -> dict[str, Artist]:
     """Draw floor, wheel, board and robot in m at the state (6,); return the artists by name.
 
-    Lengths are the task's, but the upper body is a sketch: of it the task knows only mass and inertia.
-    A dark sector shows how the wheel has turned. The robot is of the given colour; a muted drawing is pale.
+    Lengths are the task's, except for the upper body: the task defines only its mass and inertia. A dark
+    sector shows the wheel's rotation. The robot has the given colour; a muted drawing is pale.
     """
     parts = _parts(task, state)
     colors = {name: LINE if name.endswith(("ankle", "hip")) else GREYS.get(name, color) for name in parts}
@@ -33,7 +33,7 @@ def draw(
 
 
 def move(artists: Mapping[str, Artist], task: Bongoboard, state: Array, *, muted: bool = False) -> None:
-    """Move what `draw` has drawn to another state (6,)."""
+    """Move the artists of `draw` to another state (6,)."""
     move_parts(artists, _parts(task, state), muted)
 
 

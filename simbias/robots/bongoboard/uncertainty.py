@@ -15,14 +15,14 @@ MASSES = ("wheel_mass", "board_mass", "leg_mass", "pelvis_mass", "pelvis_inertia
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Spreads of the priors (`simbias.core.parameters`), 0 of what is known exactly."""
+    """Spreads of the priors (`simbias.core.parameters`); 0: known exactly."""
 
     masses: Spread = 0.0  # log-normal, of each mass and inertia
     foot_mass: MassOrZero = 0.0  # kg, uniform: the feet weigh anything from 0 to this
     slope: SlopeSpread = 0.0  # rad, normal: the floor rises towards positive x
     ankle_damping: NonNegative = 0.0  # N m s/rad, half-normal
     ankle_stiffness: NonNegative = 0.0  # N m/rad, half-normal: a spring at rest at theta = 0
-    ankle_friction: NonNegative = 0.0  # N m, half-normal: Coulomb's
+    ankle_friction: NonNegative = 0.0  # N m, half-normal: Coulomb friction
     rolling_resistance: NonNegative = 0.0  # N m, half-normal: a moment against the wheel's rotation
     payload_mass: MassOrZero = 0.0  # kg, half-normal: a point on the pelvis
     payload_x: NonNegative = 0.0  # m, normal: from the pelvis' centre, along the board
@@ -30,8 +30,8 @@ class Uncertainty:
     motor_gain: Spread = 0.0  # log-normal
     torque_offset: NonNegative = 0.0  # N m, normal
     torque_limit: NonNegative = 0.0  # N m, uniform: the motor saturates up to so much below the task's limit
-    lag: Lag = 0.0  # s, half-normal: of the torque, of first order
-    delay: Lag = 0.0  # s, uniform: the torque acts up to so much later
+    lag: Lag = 0.0  # s, half-normal: first-order lag of the torque
+    delay: Lag = 0.0  # s, uniform: the torque acts up to this much later
 
 
 MECHANICAL: dict[str, tuple[str, Prior]] = {  # unit and prior
@@ -54,12 +54,12 @@ MOTOR: dict[str, tuple[str, Prior]] = {
 
 
 def only(names: Sequence[str], uncertainty: Uncertainty) -> Uncertainty:
-    """The uncertainty of these alone.
+    """The uncertainty restricted to these names.
 
     Raises
     ------
     ValueError
-        If there is none of a name.
+        If a name belongs to no uncertainty.
     """
     known = [each.name for each in fields(Uncertainty)]
     for name in names:
@@ -69,14 +69,14 @@ def only(names: Sequence[str], uncertainty: Uncertainty) -> Uncertainty:
 
 
 def declared(robot: Robot, foot_mass: float) -> dict[str, float]:
-    """Every parameter's value as long as nothing is known of it: zero, or neutral."""
+    """The value of every parameter before identification: zero, or neutral."""
     masses = {name: float(getattr(robot, name)) for name in MASSES}
     motor = dict.fromkeys(MOTOR, 0.0) | {"motor_gain": 1.0, "torque_limit": math.inf}
     return {**masses, "foot_mass": foot_mass, **dict.fromkeys(MECHANICAL, 0.0), **motor}
 
 
 def priors(robot: Robot, torque_limit: float, uncertainty: Uncertainty) -> Iterator[Parameter]:
-    """The priors of what is not known exactly; masses first, the feet's after the others."""
+    """The priors of uncertain parameters; masses first, the feet's last among them."""
     if uncertainty.masses:
         for name in MASSES:
             unit = "kg m^2" if name.endswith("inertia") else "kg"

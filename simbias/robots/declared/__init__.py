@@ -1,1 +1,1 @@
-"""Tasks that are declared in YAML."""
+"""Tasks declared in YAML."""

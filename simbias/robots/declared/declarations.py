@@ -1,4 +1,4 @@
-"""Parts of a declared task as its YAML says them, and the records that become of them."""
+"""Parts of a declared task as in its YAML, and the records made from them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from simbias.simulation.compiler import Expression
 
 @dataclass(frozen=True)
 class Input:
-    """An input u: |u| <= limit, or lower <= u <= limit, as of a propeller that only pushes."""
+    """An input u: |u| <= limit, or lower <= u <= limit, as for a propeller that only pushes."""
 
     unit: str
     limit: Force
@@ -36,7 +36,7 @@ class Output:
 
 @dataclass(frozen=True)
 class Failure:
-    """A failure criterion: the value is above a bound or, where it is bounded below, below it."""
+    """A failure criterion: the value is above its upper bound or, if it has a lower bound, below that."""
 
     value: Expression
     unit: str = ""
@@ -56,25 +56,25 @@ class Pulses:
 
 @dataclass(frozen=True)
 class DrawnPart:
-    """A part of a drawing. One point is the centre of a disc, two are the ends of a bar, more are corners."""
+    """A part of a drawing: one point is a disc's centre, two are a bar's ends, more are corners."""
 
     points: Annotated[
         list[Annotated[list[Expression], Field(min_length=2, max_length=2)]], Field(min_length=1)
     ]
-    thickness: NonNegative = 0.02  # of a disc and a bar, in the points' unit
-    grey: Annotated[float, Field(ge=0, le=1)] | None = None  # 0 black, 1 white; null: as the picture's key
+    thickness: NonNegative = 0.02  # of a disc or a bar, in the points' unit
+    grey: Annotated[float, Field(ge=0, le=1)] | None = None  # 0 black, 1 white; null: as in the key
 
 
 _Value = TypeVar("_Value")
 
 
 def _in_order(values: dict[str, _Value]) -> tuple[tuple[str, _Value], ...]:
-    """Items of a mapping, so that their order counts in a trial's identity."""
+    """Items of a mapping as a tuple, so that their order counts in a trial's identity."""
     return tuple(values.items())
 
 
 def _names(values: dict[str, _Value]) -> dict[str, _Value]:
-    """Names that expressions can use."""
+    """Check that expressions can use the names."""
     for name in values:
         if not name.isidentifier():
             raise ValueError(f"{name!r} is no name: letters, digits and _ make one, as in d_angle")
@@ -85,14 +85,14 @@ Named = Annotated[dict[str, _Value], AfterValidator(_names), AfterValidator(_in_
 
 
 def measure_of(name: str, failure: Failure) -> str:
-    """The expression whose value is above the criterion's limit where x fails."""
+    """The expression whose value exceeds the criterion's limit if x fails."""
     if (failure.above is None) == (failure.below is None):
         raise ValueError(f"{name}: one of above and below is to be given")
     return failure.value if failure.below is None else f"-({failure.value}\n)"  # it may end with a comment
 
 
 def push_of(name: str, pulses: Pulses, inputs: Sequence[str], time_step: float) -> Push:
-    """Pushes on an input of these, in frames of so many seconds."""
+    """Pushes on one of these inputs, with frames of `time_step` seconds."""
     if name not in inputs:
         raise ValueError(f"pushes: no input is called {name}; there is {', '.join(inputs)}")
     amplitude, seconds = (pulses.amplitude[0], pulses.amplitude[1]), (pulses.seconds[0], pulses.seconds[1])
@@ -117,7 +117,7 @@ def bounds_of(inputs: Mapping[str, Input]) -> tuple[Array, Array]:
 
 
 def criterion_of(name: str, failure: Failure, states: Collection[str]) -> Criterion:
-    """The failure criterion; an upper limit of |state| also bounds the state by itself."""
+    """The failure criterion; an upper limit on |state| is also a bound on that state."""
     limit = failure.above if failure.above is not None else -(failure.below or 0.0)
     value = failure.value.replace(" ", "")
     bounds = {state: limit for state in states if failure.below is None and value == f"abs({state})"}

@@ -1,4 +1,4 @@
-"""The goal of a declared task, and when it is reached."""
+"""The goal of a declared task, and its success conditions."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from simbias.core.table import read_table
 from simbias.robots.declared.declarations import Failure, criterion_of, measure_of
 from simbias.simulation.compiler import Expressions
 
-TIME = "t"  # the name of the time in expressions, and of its column
-MOST_ROWS = 400  # of a file: each is an operation of the compiled loop
-LONG = 100.0  # episodes: a file that goes on for longer may have its time in ms
-TURNS = 2  # an angle that goes beyond may be in degrees
-BRIEF = 2  # frames, within which a jump happens
-JUMP = 0.1  # of the range, at least, and
-STEEP = 4.0  # times as much as moves in as many frames before or after
-ROUNDING = 1e-9  # what is smaller is no jump
+TIME = "t"  # the name of time in expressions and of its column
+MOST_ROWS = 400  # of a file: each row is an operation of the compiled loop
+LONG = 100.0  # episodes: a longer file may have its time in ms
+TURNS = 2  # a larger angle may be in degrees
+BRIEF = 2  # frames; the duration of a jump
+JUMP = 0.1  # least share of the range, and
+STEEP = 4.0  # least factor relative to the motion in as many frames before or after
+ROUNDING = 1e-9  # smaller changes are no jumps
 
 
 class Reference:
-    """Where a goal's quantities are to be: expressions of the time t, or rows of a file, linear between them.
+    """The reference of a goal's quantities: expressions of time t, or rows of a file, linearly interpolated.
 
-    Expressions may use targets, of which the means are given, by name.
+    Expressions may use targets, whose means are given by name.
 
     Raises
     ------
     ValueError
-        If a file or an expression gives no number at a time from 0 to `seconds`.
+        If a file or an expression gives no finite number at a time from 0 to `seconds`.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class Reference:
             raise ValueError(f"goal.{self.names[column]} is no number at t = {times[row]:.3g} s")
 
     def __call__(self, t: Any, targets: Array | None = None) -> Array:
-        """Reference values (..., g) at times t (...) in s, of targets (..., k); None: their means."""
+        """Reference values (..., g) at times t (...) in s, for targets (..., k); None: their means."""
         times = np.stack([t], axis=-1)  # (..., 1); a number may be a symbol
         if self._expressions is not None:
             if len(self._means):
@@ -73,12 +73,12 @@ class Reference:
                 each = [given[..., index] for index in range(len(self._means))]
                 times = np.stack([t + 0.0 * each[0], *(value + 0.0 * t for value in each)], axis=-1)
             values = self._expressions(times[None])
-            return values[0] if values.ndim > times.ndim else values  # of constants alone, there is one row
+            return values[0] if values.ndim > times.ndim else values  # if all are constants, there is one row
         return self._first + np.maximum(times - self._times, 0.0) @ self._changes
 
 
 def _rows(file: str, seconds: float) -> tuple[tuple[str, ...], Array, Array]:
-    """The names (g), times (k,) and values (k, g) of a reference's file."""
+    """The names (g), times (k,) and values (k, g) in a reference's file."""
     try:
         table = read_table(Path(file))
         header, numbers = table.names, table.numbers(range(len(table.names)))
@@ -116,7 +116,7 @@ def check_within(
     measure: Callable[[Array], Array],
     seconds: float,
 ) -> None:
-    """Refuse a reference to a state that a failure criterion does not allow, whatever the other states."""
+    """Refuse a reference for a state that alone violates a failure criterion, whatever the other states."""
     times = np.linspace(0.0, seconds, 1000)
     values = np.broadcast_to(reference(times), (len(times), len(reference.names)))
     for column, name in zip(values.T, reference.names, strict=True):
@@ -130,7 +130,7 @@ def check_within(
 
 
 def warn_of_degrees(reference: Reference, goals: Sequence[Quantity], seconds: float) -> None:
-    """Warn of an angle in rad that wraps and whose goal is turns away from zero, but does not turn on."""
+    """Warn of a wrapping angle in rad with a goal turns away from zero that does not keep turning."""
     times = np.linspace(0.0, seconds, 1000)
     values = np.broadcast_to(reference(times), (len(times), len(goals)))
     for goal, each in zip(goals, values.T, strict=True):
@@ -142,12 +142,12 @@ def warn_of_degrees(reference: Reference, goals: Sequence[Quantity], seconds: fl
 
 
 def check_jumps(reference: Reference, goals: Sequence[Quantity], time_step: float) -> None:
-    """Refuse a reference to goals (g) that jumps: no robot follows that."""
+    """Refuse a reference with jumps, which no robot can follow."""
     times = time_step * np.arange(round(reference.end / time_step) + 1)
     values = np.broadcast_to(reference(times), (len(times), len(goals)))
     steps = np.abs(wrapped(np.diff(values, axis=0), goals))
     moved = np.abs(wrapped(values[BRIEF:] - values[:-BRIEF], goals))
-    path = steps[1:] + steps[:-1]  # in BRIEF frames, to and fro: around its extremes, a fast sine moves, too
+    path = steps[1:] + steps[:-1]  # in BRIEF frames, in both directions: a fast sine moves at extremes
     around = np.pad(path, ((BRIEF, BRIEF), (0, 0)))
     beside = np.maximum(around[: -2 * BRIEF], around[2 * BRIEF :])
     least = np.maximum(JUMP * np.ptp(values, axis=0), ROUNDING)
@@ -161,9 +161,9 @@ def check_jumps(reference: Reference, goals: Sequence[Quantity], time_step: floa
 
 
 class Success:
-    """Conditions that hold for the last seconds of an episode.
+    """Success conditions that must hold for the last seconds of an episode.
 
-    Beside states, their expressions know the time t and `<name>_error` of each of the goal's quantities.
+    Besides states, expressions may use time t and `<name>_error` of each goal quantity.
     """
 
     def __init__(
@@ -171,15 +171,15 @@ class Success:
     ) -> None:
         self._conditions = conditions
         limits = [criterion_of(name, each, ()).limit for name, each in conditions.items()]
-        self._limits = np.array(limits)  # which measures are above
+        self._limits = np.array(limits)  # which the measures must exceed
         self._measures = measures
         self._frames, self._seconds = frames, seconds
 
     def check_at(self, goal: Array) -> None:
-        """Refuse conditions on errors and time alone that do not hold where there are no errors.
+        """Refuse conditions on errors and time alone that do not hold at zero error.
 
-        The rows (k, .) have the times of the last frames and errors of zero; states, which may be others at
-        the goal, are nan.
+        The rows (k, .) have the times of the last frames and zero errors; states, which the goal may not
+        determine, are nan.
         """
         least = self._measures(goal).min(axis=0)
         for (name, each), value, limit in zip(self._conditions.items(), least, self._limits, strict=True):
@@ -188,7 +188,7 @@ class Success:
                 raise ValueError(f"success.{name} cannot hold: {there}")
 
     def check_beside(self, failures: Mapping[str, Failure]) -> None:
-        """Refuse conditions that hold only where the task fails, by the same expression."""
+        """Refuse conditions that hold only where a failure criterion with the same expression is violated."""
         for name, each in self._conditions.items():
             for other, failure in failures.items():
                 same = measure_of(name, each).replace(" ", "") == measure_of(other, failure).replace(" ", "")
@@ -200,7 +200,7 @@ class Success:
         return bool((self._least(states, times, errors) > self._limits).all())
 
     def missed(self, states: Array, times: Array, errors: Array) -> str:
-        """The conditions that do not hold, each with the value that is furthest from its bound."""
+        """The conditions that do not hold, each with the value furthest from its bound."""
         least = self._least(states, times, errors)
         missed = []
         for (name, each), value, limit in zip(self._conditions.items(), least, self._limits, strict=True):
@@ -216,12 +216,12 @@ class Success:
 
 
 def _beside_bound(condition: Failure, measure: float, limit: float) -> str:
-    """A measure and the limit that it is not above, in the words of the condition."""
+    """A measure and the limit that it does not exceed, in the words of the condition."""
     side, sign = ("above", 1) if condition.below is None else ("below", -1)
     value = f"{sign * measure + 0.0:.3g} {condition.unit}".strip()
     return f"{value}, not {side} {sign * limit:g}"
 
 
 def success_names(states: Sequence[str], goals: Sequence[Quantity]) -> list[str]:
-    """The variables of success' expressions, in the order of `Success.holds`."""
+    """The variables of success expressions, in the order of `Success.holds`."""
     return [*states, TIME, *(f"{goal.name}_error" for goal in goals)]

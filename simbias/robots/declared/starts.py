@@ -1,4 +1,4 @@
-"""Where the episodes of a declared task start."""
+"""The starts of a declared task's episodes."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ Range = Annotated[list[Coordinate], Field(min_length=2, max_length=2)]
 
 @dataclass(frozen=True)
 class State:
-    """A state, and where it starts: mean + N(0, deviation^2), the mean a number, uniform or one of values."""
+    """A state and its start, mean + N(0, deviation^2); the mean is a number, uniform or one of `values`."""
 
     unit: str
-    kind: str = ""  # shared with others, so that noise can be declared of all at once
+    kind: str = ""  # common to several, so that noise can be declared for all at once
     mean: Coordinate = 0.0
     deviation: NonNegative = 0.0  # of hardware starts
     uniform: Range | None = None  # least and largest mean
     values: Annotated[list[Coordinate], Field(min_length=1)] | None = None  # means; of several states, a grid
-    wraps: bool = False  # an angle, in rad or another unit of angle, that is the same after a turn
+    wraps: bool = False  # whether it is an angle, in any unit of angle, modulo one turn
 
 
 class Starts:
-    """A distribution of starts: means that are drawn, and normal deviations from them.
+    """A distribution of starts: drawn means, and normal deviations from them.
 
     Parameters
     ----------
     states
-        By their keys in the config, as `states.angle`.
+        By their keys in the config, such as `states.angle`.
 
     Raises
     ------
     ValueError
-        If a state declares more than one mean, or one that `starts` replace, or a start has not a number for
-        each state.
+        If a state declares more than one mean, or one that `starts` replace, or a start lacks a number for
+        some state.
     """
 
     def __init__(self, states: Mapping[str, State], starts: Sequence[Sequence[float]] | None) -> None:
@@ -66,7 +66,7 @@ class Starts:
 
     @property
     def means(self) -> Mapping[str, Array]:
-        """States (n,) around which episodes start, by their keys; none where these are drawn."""
+        """States (n,) around which episodes start, by their keys; empty if these are drawn."""
         if self._starts is None:
             return {} if any(map(_spread, self._states)) else {"states": self.mean}
         return {f"starts.{index}": start for index, start in enumerate(self._starts)}
@@ -86,7 +86,7 @@ class Starts:
 
 
 def _means(state: State) -> Sequence[float]:
-    """Numbers whose mean is the state's."""
+    """Numbers whose average is the state's mean start."""
     return state.uniform or state.values or [state.mean]
 
 

@@ -1,4 +1,4 @@
-"""A task that is declared in YAML: no Python to write."""
+"""A task declared in YAML, without Python code."""
 
 from __future__ import annotations
 
@@ -41,44 +41,45 @@ from simbias.simulation.compiler import Expression, Expressions
 
 
 class Declared(Task):
-    """Reach a goal, or hold for `horizon` frames of `time_step` seconds what the failure criteria allow.
+    """Reach a goal, or stay within the failure criteria for `horizon` frames of `time_step` seconds.
 
-    Expressions are those of `simbias.simulation.compiler.expressions`, of the states and of what `constants`
-    and `where` give a name.
+    Expressions follow `simbias.simulation.compiler.expressions`. They use the states and the names defined by
+    `constants` and `where`.
 
     Parameters
     ----------
     states, inputs
         By name, in the order of x and u; targets come after the states.
     outputs
-        What a policy feeds back, in the order of z; by default all states.
+        The quantities that a policy feeds back, in the order of z; by default all states.
     failure
-        Criteria by name; where several are violated, the first one counts. Without any, nothing fails.
+        Criteria by name; if several are violated, the first one counts. Without criteria, nothing fails.
     goal
-        Where states and outputs are to be, by name: expressions of the time t in s and of targets. By default
-        all states are to be zero.
+        Reference values of states and outputs, by name: expressions of time t in s and of targets. By default
+        zero for all states.
     reference
-        In place of a goal: a CSV file of columns t and names, linear between its rows.
+        Instead of a goal: a CSV file with columns t and names, linearly interpolated between rows.
     success
-        Conditions by name, all of which hold for the last `hold` seconds of an episode that succeeds; beside
-        states, they know t and the error of each quantity of the goal, as `angle_error`. Without any, the
-        cost decides.
+        Conditions by name, which must all hold for the last `hold` seconds of a successful episode. Besides
+        states, they may use t and the error of each goal quantity, such as `angle_error`. Without conditions,
+        the cost decides.
     starts
-        States, of which an episode starts at one, in place of the states' means. The first is the mean start.
+        A list of starts, one of which is drawn for each episode, instead of the states' means. The first is
+        the mean start.
     pushes
-        By the inputs' names.
+        Pushes by the inputs' names.
     where
-        Expressions by name; each may use those before it.
+        Expressions by name; each may use earlier ones.
     drawing
         Parts by name, from back to front, all lengths in one unit, y upwards.
     figure
-        In place of a drawing: the file of a MuJoCo model, whose geoms are drawn, or rendered.
+        Instead of a drawing: the file of a MuJoCo model, whose geoms are drawn or rendered.
     targets
-        By name, as states: drawn with each start, constant, and known. Expressions may use them; failures may
-        not, as a robot has none.
+        By name, like states: drawn with each start, constant, and known. Expressions may use them; failure
+        criteria may not, as the robot itself has no targets.
     sensors
-        The file of a MuJoCo model, whose sensors and sites' positions expressions may use too: a number by
-        its name, a vector as `tip[0]`. They are the engine's, so that rollouts are simulated in NumPy.
+        The file of a MuJoCo model whose sensors and site positions expressions may also use: a number by its
+        name, a vector as `tip[0]`. The engine computes them, so rollouts are simulated in NumPy.
     """
 
     def __init__(
@@ -106,7 +107,7 @@ class Declared(Task):
             if not some:
                 raise ValueError(f"{name} is empty: there has to be one at least")
         self.time_step, self.horizon = time_step, horizon
-        self.criteria, self.outputs = (), ()  # what a robot's file is held against has none yet
+        self.criteria, self.outputs = (), ()  # not yet needed for checks of a robot's file
         self._set_states(dict(states), dict(targets or {}), starts)
         self._set_inputs(dict(inputs))
         self._sensors = None if sensors is None else Sensors(self.without_targets, sensors)
@@ -135,7 +136,7 @@ class Declared(Task):
     def _set_states(
         self, robot: dict[str, State], targets: dict[str, State], starts: list[list[float]] | None
     ) -> None:
-        """Set the states, the last of which are targets, and where they start."""
+        """Set the states, the last of which are targets, and their starts."""
         for name in set(robot) & set(targets):
             raise ValueError(f"targets.{name}: a state has this name")
         states = {**robot, **targets}
@@ -158,7 +159,7 @@ class Declared(Task):
         self._output = self.expressions({name: output.value for name, output in given.items()})
 
     def _set_failures(self, failure: dict[str, Failure]) -> None:
-        """Set the failure criteria; refuse those that depend on targets, of which a robot knows nothing."""
+        """Set the failure criteria; refuse those that depend on targets, which a robot does not have."""
         names = tuple(each.name for each in self.states[: len(self.states) - len(self.targets)])
         self.criteria = tuple(criterion_of(name, each, names) for name, each in failure.items())
         self._measure = self._measures("failure", failure, self._known["variables"])
@@ -172,8 +173,8 @@ class Declared(Task):
                 raise ValueError(f"{key}: the task fails at its start: {failure_there}")
 
     def _set_drawing(self, drawing: dict[str, DrawnPart]) -> None:
-        """Set what is drawn: a figure's parts, or those that are declared."""
-        if self._figure:  # which knows its points itself
+        """Set the drawing: a figure's parts, or the declared ones."""
+        if self._figure:  # the figure provides its own points
             drawing = {name: DrawnPart([], thickness) for name, thickness in self._figure.thickness.items()}
         self.drawing = drawing
         self._points = self.expressions(
@@ -236,7 +237,7 @@ class Declared(Task):
                 )
 
     def _measures(self, key: str, conditions: Mapping[str, Failure], names: Sequence[str]) -> Expressions:
-        """Measures that are above the limits of conditions where these hold."""
+        """Measures that exceed the limits of conditions if these hold."""
         known, each = {**self._known, "variables": names}, conditions.items()
         Expressions({f"{key}.{name}": condition.value for name, condition in each}, **known)  # or it raises
         signed = {f"{key}.{name}": measure_of(f"{key}.{name}", condition) for name, condition in each}
@@ -256,7 +257,7 @@ class Declared(Task):
         return self._output(self._seen(x))
 
     def _seen(self, x: Array) -> Array:
-        """States (..., n), followed by what sensors say of the robot's."""
+        """States (..., n), followed by sensor values of the robot's states."""
         if self._sensors is None:
             return x
         return np.concatenate([x, self._sensors(self._of_robot(x))], axis=-1)
@@ -271,7 +272,7 @@ class Declared(Task):
 
     @property
     def goals(self) -> tuple[Quantity, ...]:
-        """The quantities that the goal is about."""
+        """The quantities in which the goal is stated."""
         return self._goals
 
     def aim(self, x: Array) -> Array:
@@ -298,7 +299,7 @@ class Declared(Task):
         return self._success.missed(*self._episode(states))
 
     def _episode(self, states: Array) -> tuple[Array, Array, Array]:
-        """States (T+1, n) with what sensors say, their times, and errors."""
+        """States (T+1, n) with sensor values, their times, and errors."""
         times = self.time_step * np.arange(len(states), dtype=np.float64)
         return self._seen(states), times, self.error(states, times)
 
@@ -311,15 +312,15 @@ class Declared(Task):
         return dict(zip(self.drawing, np.split(points, ends), strict=False))
 
     def image(self, x: Array) -> Image | None:
-        """Image of the state x (n,) as MuJoCo renders it; None if the drawing is of parts."""
+        """The image of the state x (n,) rendered by MuJoCo; None if the drawing consists of parts."""
         return self._figure.image(self._of_robot(x)) if self._figure else None
 
     def expressions(self, expressions: Mapping[str, str]) -> Expressions:
-        """Expressions of the states and of what else has a name here.
+        """Expressions of the states and the other names defined here.
 
         Raises
         ------
         ValueError
-            If one is not allowed; in one line that names it.
+            If one is not allowed; the message names it in one line.
         """
         return Expressions(expressions, **self._known)

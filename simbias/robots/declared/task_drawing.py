@@ -27,8 +27,8 @@ def draw(
 ) -> dict[str, Artist]:
     """Draw the task's parts at the state (n,); return the artists by name.
 
-    Parts that have no grey of their own are of the given colour, and an image is tinted with it; a muted
-    drawing is pale.
+    Parts without their own grey have the given colour, and an image is tinted with it; a muted drawing is
+    pale.
     """
     if (image := task.image(state)) is None:
         colors = {name: color if part.grey is None else str(part.grey) for name, part in task.drawing.items()}
@@ -45,7 +45,7 @@ def draw(
 
 
 def move(artists: Mapping[str, Artist], task: Declared, state: Array, *, muted: bool = False) -> None:
-    """Move what `draw` has drawn to another state (n,)."""
+    """Move the artists of `draw` to another state (n,)."""
     picture = artists.get(IMAGE)
     if isinstance(picture, AxesImage) and (image := task.image(state)) is not None:
         picture.set_data(_tinted(image.pixels, picture.get_gid() or "0.4"))
@@ -65,7 +65,7 @@ def _parts(task: Declared, state: Array) -> dict[str, Disc | Array]:
 
 
 def _tinted(pixels: Array, color: str) -> Array:
-    """An image (k, k, 4), half its own colour and half another in its brightness."""
+    """An image (k, k, 4), mixed equally with another colour of the same brightness."""
     brightness = pixels[..., :3].mean(axis=-1, keepdims=True)
     shade = np.clip(2.0 * brightness * np.array(to_rgb(color)), 0.0, 1.0)
     return np.concatenate([(pixels[..., :3] + shade) / 2, pixels[..., 3:]], axis=-1)

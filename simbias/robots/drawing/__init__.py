@@ -1,1 +1,1 @@
-"""Shapes that drawings of robots consist of."""
+"""Shapes for drawings of robots."""

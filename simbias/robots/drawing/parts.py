@@ -1,4 +1,4 @@
-"""Parts of a drawing: discs and polygons that are drawn once, and moved."""
+"""Parts of a drawing: discs and polygons that are drawn once, then moved."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from matplotlib.patches import Circle, Polygon
 from simbias.core.records import Array
 
 LINE = "0.2"  # grey
-PALE = 0.4  # opacity of what has failed
+PALE = 0.4  # opacity of failed robots
 
 
 class Disc(NamedTuple):
@@ -26,7 +26,7 @@ Parts = Mapping[str, Disc | Array]  # from back to front; the corners (k, 2) of 
 
 
 def draw_parts(axes: Axes, parts: Parts, colors: Mapping[str, str], muted: bool) -> dict[str, Artist]:
-    """Draw parts to scale, each of its colour; return the artists by name. Muted ones are pale."""
+    """Draw parts to scale, each in its colour, pale if muted; return the artists by name."""
     axes.set_aspect("equal")
     axes.axis("off")
     artists: dict[str, Artist] = {}
@@ -39,7 +39,7 @@ def draw_parts(axes: Axes, parts: Parts, colors: Mapping[str, str], muted: bool)
 
 
 def move_parts(artists: Mapping[str, Artist], parts: Parts, muted: bool) -> None:
-    """Move what `draw_parts` has drawn; much faster than drawing again."""
+    """Move the artists of `draw_parts`, which is much faster than redrawing."""
     for name, part in parts.items():
         artist = artists[name]
         if isinstance(artist, Circle) and isinstance(part, Disc):

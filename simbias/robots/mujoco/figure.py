@@ -1,4 +1,4 @@
-"""A drawing of a robot's MuJoCo model: a stick figure of its geoms, or as MuJoCo renders it."""
+"""A drawing of a robot's MuJoCo model: a stick figure of its geoms, or MuJoCo's rendering."""
 
 from __future__ import annotations
 
@@ -16,30 +16,30 @@ from simbias.robots.mujoco.parameters import mujoco
 from simbias.robots.mujoco.rendering import Image, NoRendererError, Rendering
 from simbias.robots.mujoco.view import View, axes_of, solid_geoms, view_of
 
-EDGE_ON = 1e-9  # of the longest edge: what is seen of one along the line of sight
-HALF_TURN = np.linspace(-np.pi / 2, np.pi / 2, 17)  # rad, along half the edge of a disc
+EDGE_ON = 1e-9  # of the longest edge: shorter projections count as along the line of sight
+HALF_TURN = np.linspace(-np.pi / 2, np.pi / 2, 17)  # rad, along half the rim of a disc
 
 
 @dataclass(frozen=True)
 class FigureFile:
-    """Source of a drawing: a file, as `simbias.robots.mujoco.mjcf.Mechanism` takes it."""
+    """Source of a drawing: a file, as for `simbias.robots.mujoco.mjcf.Mechanism`."""
 
     file: ConfigFile
-    joints: list[str] | None = None  # in the order of the states, as the nominal model's
+    joints: list[str] | None = None  # in the order of the states, as for the nominal model
     actuators: list[str] | None = None
-    view: View | None = None  # the plane that is seen; None: the one in which the robot moves
-    rendered: bool | None = None  # by MuJoCo, where OpenGL can run; None: if the stick figure lacks a geom
+    view: View | None = None  # the visible plane; None: the plane in which the robot moves
+    rendered: bool | None = None  # by MuJoCo, if OpenGL can run; None: only if the stick figure lacks a geom
 
 
 class Figure:
-    """Spheres are discs, capsules and cylinders are bars, or discs end-on, boxes are their outlines.
+    """A stick figure: spheres are discs, capsules and cylinders are bars (discs end-on), boxes are outlines.
 
-    Other geoms are left out. With these, MuJoCo renders it, where it can.
+    Other geoms are left out. If there are any, MuJoCo renders the robot if possible.
 
     Raises
     ------
     ValueError
-        If the file cannot be read or does not go with the task.
+        If the file cannot be read or does not fit the task.
     """
 
     def __init__(self, task: Task, source: FigureFile) -> None:
@@ -49,7 +49,7 @@ class Figure:
         self._view = axes_of(view)
         self._data: Any = mujoco().MjData(self._robot.model)
         self.thickness: dict[str, float] = {}  # of each part, in m
-        self._ends: dict[str, tuple[int, Array]] = {}  # a geom, and points (k, 3) about its centre
+        self._ends: dict[str, tuple[int, Array]] = {}  # index of a geom, and points (k, 3) about its centre
         for index in range(self._robot.model.ngeom):
             geom, points = self._robot.model.geom(index), self._local(index)
             if points is not None:
@@ -61,7 +61,7 @@ class Figure:
         self._rendering = Rendering(self._robot, view) if rendered else None
 
     def image(self, x: Array) -> Image | None:
-        """Rendered image at the state x (n,); None where a stick figure is drawn."""
+        """The rendered image at the state x (n,); None if a stick figure is drawn."""
         if self._rendering is not None:
             try:
                 return self._rendering.image(x)
@@ -71,7 +71,7 @@ class Figure:
         return None
 
     def _local(self, index: int) -> Array | None:
-        """Points (k, 3) of a geom about its centre, in its own frame; None if it is not drawn."""
+        """Points (k, 3) of a geom about its centre, in the geom's frame; None if it is not drawn."""
         kind = mujoco().mjtGeom(int(self._robot.model.geom_type[index])).name
         size = self._robot.model.geom_size[index]
         if kind == "mjGEOM_SPHERE":
@@ -102,9 +102,9 @@ class Figure:
 
 
 def _bar(centre: Array, half: Array, length: float, radius: float, round_ends: bool) -> Array:
-    """The ends (2, 2) of a bar about a centre (2,); seen aslant or end-on, its edge (k, 2).
+    """The ends (2, 2) of a bar about a centre (2,); if seen obliquely or end-on, its outline (k, 2).
 
-    Half of it, of this length, is seen as `half` (2,). Round ends are half spheres beyond it.
+    `half` (2,) is the projection of half the bar, of this length. Round ends are half spheres beyond it.
     """
     seen = np.hypot(*half)
     if seen > (1 - EDGE_ON) * length:
@@ -116,7 +116,7 @@ def _bar(centre: Array, half: Array, length: float, radius: float, round_ends: b
 
 
 def _outline(centre: Array, halves: Array) -> Array:
-    """Corners (4 or 6, 2) about a centre (2,) of a box, half of whose edges are seen as these (3, 2)."""
+    """Corners (4 or 6, 2) about a centre (2,) of a box; `halves` (3, 2) are its projected half edges."""
     sizes = np.hypot(*halves.T)
     halves = halves[sizes > EDGE_ON * sizes.max()]
     halves = np.where(halves[:, 1:] < 0, -halves, halves) + 0.0  # upwards; -0.0 would have another angle

@@ -1,4 +1,4 @@
-"""MJCF and URDF files, read by MuJoCo, and written."""
+"""Reading MJCF and URDF files with MuJoCo, and writing MJCF."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from simbias.core.files import sought
 from simbias.core.messages import quote, words
 from simbias.robots.mujoco.parameters import mujoco
 
-# Limits within which a file is read in seconds.
+# Limits that keep the reading of a file within seconds.
 MOST_COPIES = 10_000  # of an element, by replicate, composite and flexcomp
 MOST_CELLS = 10**8  # of a height field or a texture
 
@@ -31,20 +31,20 @@ NAMING = (
 def read_model(file: str, actuators: Sequence[str] = ()) -> Any:
     """The compiled model of a file.
 
-    An actuator without a name has the name of its joint or site, a joint without one that of its body.
+    An unnamed actuator gets the name of its joint or site; an unnamed joint gets that of its body.
 
     Parameters
     ----------
     file
-        MJCF or URDF, relative to the folder where simbias is started; or `package:path` of a file that is
-        installed with a package.
+        MJCF or URDF, relative to the folder where simbias is started; or `package:path` for a file installed
+        with a package.
     actuators
-        Names of actuators; where one is a joint's name and no actuator's, a motor is put there.
+        Names of actuators; for a name of a joint but no actuator, a motor is added there.
 
     Raises
     ------
     ValueError
-        If the file cannot be read, in one line that names it.
+        If the file cannot be read; the message names it in one line.
     """
     path = _path(file)
     if not path.is_file():
@@ -58,7 +58,7 @@ def read_model(file: str, actuators: Sequence[str] = ()) -> Any:
 
 
 def source_files(file: str) -> list[Path]:
-    """A file, and all that it names: includes, attached models, meshes, textures, height fields."""
+    """A file and all files it refers to: includes, attached models, meshes, textures, height fields."""
     found: list[Path] = []
     homes, folders, names = {_path(file).parent}, {""}, {_path(file).name}
     strips = False
@@ -68,7 +68,7 @@ def source_files(file: str) -> list[Path]:
         if path not in found and path.is_file()
     ]:
         for path in new:
-            with suppress(ElementTree.ParseError):  # which is no XML
+            with suppress(ElementTree.ParseError):  # not XML
                 for element in ElementTree.parse(path).iter():
                     folders |= {element.attrib[name] for name in FOLDERS if name in element.attrib}
                     names |= {element.attrib[name] for name in NAMING if name in element.attrib}
@@ -80,7 +80,7 @@ def source_files(file: str) -> list[Path]:
 
 
 def mjcf(file: str, actuators: Sequence[str], model: Any) -> str:
-    """The MJCF of a compiled model that was read from a file, and changed since; numbers have six digits.
+    """The MJCF of a compiled model that was read from a file and then changed; numbers have six digits.
 
     Inertias are written out; paths of meshes and textures are absolute.
     """
@@ -94,7 +94,7 @@ def mjcf(file: str, actuators: Sequence[str], model: Any) -> str:
         body.ipos, body.iquat = model.body_ipos[i], model.body_iquat[i]
     spec.compile()
     spec.copy_back(model)
-    spec.stat.meaninertia = np.nan  # which copying sets; it affects nothing, and a file may not say it
+    spec.stat.meaninertia = np.nan  # set by copying; it has no effect, and is not allowed in a file
     for folder in ("meshdir", "texturedir"):
         own = path.parent / (getattr(spec.compiler, folder) or "")
         setattr(spec.compiler, folder, str(own.resolve()))
@@ -102,7 +102,7 @@ def mjcf(file: str, actuators: Sequence[str], model: Any) -> str:
 
 
 def _spec(path: Path, actuators: Sequence[str]) -> Any:
-    """Specification of a file, elements without a name named, with motors at joints named as actuators."""
+    """The specification of a file, with unnamed elements named, and motors at joints named as actuators."""
     engine = mujoco()
     _check_size(path)
     spec = engine.MjSpec.from_file(str(path))
@@ -116,7 +116,7 @@ def _spec(path: Path, actuators: Sequence[str]) -> Any:
 
 
 def _path(file: str) -> Path:
-    """Path of a file, which may be `package:path`."""
+    """The path of a file, which may be given as `package:path`."""
     package, colon, inside = file.partition(":")
     if not colon or not package.isidentifier():
         return Path(file).expanduser()
@@ -127,7 +127,7 @@ def _path(file: str) -> Path:
 
 
 def _name(elements: Sequence[Any], kind: str, names: Sequence[str]) -> None:
-    """Give elements without a name the one beside it, or that of their kind with a number if it is taken."""
+    """Name unnamed elements: by the given name, or by their kind and a number if it is taken."""
     known = {element.name for element in elements}
     for index, (element, name) in enumerate(zip(elements, names, strict=True)):
         if not element.name:
@@ -138,7 +138,7 @@ def _name(elements: Sequence[Any], kind: str, names: Sequence[str]) -> None:
 def _check_size(path: Path, copies: int = 1, within: tuple[Path, ...] = ()) -> None:
     """Refuse a file that MuJoCo would read for hours, or that would fill the memory.
 
-    It stands in `copies` copies of itself within other files, from the whole model's on.
+    The file occurs `copies` times within the files that include it, up to the whole model's file.
     """
     if path in within:
         raise ValueError(f"{path.name} includes itself")
@@ -146,7 +146,7 @@ def _check_size(path: Path, copies: int = 1, within: tuple[Path, ...] = ()) -> N
 
 
 def _check_element(element: Any, within: tuple[Path, ...], copies: int) -> None:
-    """Refuse an element that makes too much, in `copies` copies of itself."""
+    """Refuse an element that makes too many things, in `copies` copies of itself."""
     if element.tag in ("hfield", "texture"):
         _limit(element, _product(element, "nrow", "ncol", "width", "height"), MOST_CELLS, "cells")
     if element.tag in ("replicate", "composite", "flexcomp"):
@@ -162,7 +162,7 @@ def _check_element(element: Any, within: tuple[Path, ...], copies: int) -> None:
 
 
 def _attached(name: str | None, within: tuple[Path, ...]) -> set[Path]:
-    """The files of models of a name, as files say that include each other."""
+    """The files of the models with this name, as declared in files that include each other."""
     homes = {*within, *source_files(str(within[-1]))}
     named = [(home, each) for home in homes for each in _root(home).iter("model") if "file" in each.attrib]
     models = [(home.parent / each.attrib["file"], each) for home, each in named]
@@ -170,14 +170,14 @@ def _attached(name: str | None, within: tuple[Path, ...]) -> set[Path]:
 
 
 def _root(path: Path) -> Any:
-    """The root of an XML file; an empty element if it is none, as MuJoCo says better."""
+    """The root of an XML file; an empty element if it is not XML, since MuJoCo's message is better."""
     with suppress(ElementTree.ParseError, OSError):
         return ElementTree.parse(path).getroot()
     return ElementTree.Element("")
 
 
 def _product(element: Any, *attributes: str) -> int:
-    """The product of the whole numbers that an element's attributes list; those that are none count as 1."""
+    """The product of the integers in an element's attributes; anything else counts as 1."""
     listed = [number for name in attributes for number in element.get(name, "").split()]
     return prod(int(number) for number in listed if number.isdecimal())
 

@@ -1,4 +1,4 @@
-"""A robot's MuJoCo model in place of the robot."""
+"""A robot's MuJoCo model instead of the robot."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from simbias.simulation.noise import QUIET, Noise, Variances
 
 @final
 class Mujoco(Hardware):
-    """The robot of a file, with physical parameters that the nominal model knows wrong, or not at all.
+    """The robot in a file, with physical parameters that are wrong or missing in the nominal model.
 
     Parameters
     ----------
     file, joints, actuators
         The robot (`simbias.robots.mujoco.mjcf.Mechanism`).
     values, factors
-        Physical parameters that are set, and that are multiplied, by name
+        Physical parameters to set, and factors to multiply them by, by name
         (`simbias.robots.mujoco.parameters`).
     delay
-        Frames until an input acts; before the first one does, there is none.
+        Frames until an input acts; until then, inputs are zero.
     noise
-        Variances on the inputs and on what the policy sees, by name (`Noise`).
+        Variances of noise on the inputs and on the states that the policy sees, by name (`Noise`).
     record
-        What cost and learning get to see: the true states, or the measured ones.
+        The states used by cost and learning: the true or the measured ones.
     """
 
     def __init__(
@@ -56,13 +56,13 @@ class Mujoco(Hardware):
         self._record = record
 
     def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
-        """One experiment with theta (p,) from start (n,); its cost is not set."""
+        """Run one experiment with theta (p,) from start (n,); its cost is not set."""
         robot = _Running(self._task, self._robot, start, self._delay)
         return experiment(self._task, robot, policy, theta, self._noise.draw(rng), self._record)
 
 
 class _Running(Robot):
-    """An experiment under way in the engine."""
+    """A running experiment in the engine."""
 
     def __init__(self, task: Task, robot: Mechanism, start: Array, delay: int) -> None:
         self._task = task
@@ -81,11 +81,11 @@ class _Running(Robot):
         return self._robot.states(full[None])[0]
 
     def step(self, u: Array) -> None:
-        """One frame under the input u (m,), or under that of some frames ago."""
+        """One frame under the input u (m,), or a delayed one."""
         self._waiting.append(self._robot.controls(u[None])[0])
         self._data.ctrl[:] = self._waiting.pop(0)
         self._engine.mj_step(self._robot.model, self._data, nstep=self._robot.substeps)
 
     def failure(self) -> str | None:
-        """The task's criterion that it violates."""
+        """The violated criterion of the task."""
         return self._task.failure(self.state())

@@ -1,7 +1,7 @@
-"""MuJoCo's step for compiled loops, which call the engine's own functions, without Python between.
+"""MuJoCo's step for compiled loops, which call the engine's functions directly, without Python.
 
-A kernel knows numbers alone. So its parameters are addresses: of a model, and of a table of places where the
-engine can work, one for each thread, each with a flag that says whether it is taken.
+A kernel takes only numbers. Its parameters are therefore addresses: of a model, and of a table of work areas
+for the engine, one for each thread, each with a flag that marks it as taken.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from simbias.robots.mujoco.mjcf import Mechanism
 from simbias.robots.mujoco.parameters import mujoco
 from simbias.simulation.compiler import compiled_as, function_of
 
-ABSURD = 1e4  # m, rad, m/s, rad/s: what gets there has blown up, and the engine would write files about it
+ABSURD = 1e4  # m, rad, m/s, rad/s: beyond, it has diverged, and the engine would write log files
 FREE, TAKEN = 0, 1
-WORDS, WORD = 8, 8  # of a place in the table, and their bytes: a line of the cache, so that no thread waits
+WORDS, WORD = 8, 8  # words of a table entry, and bytes of a word: one cache line, so that no thread waits
 _ADDRESS, _FLAGS = types.intp, types.int32
 _SIGNATURES: dict[str, Any] = {
     "mj_setState": types.void(_ADDRESS, _ADDRESS, _ADDRESS, _FLAGS),
@@ -39,11 +39,11 @@ _SIGNATURES: dict[str, Any] = {
 _FUNCTIONS: list[Any] = [types.ExternalFunction(*each) for each in _SIGNATURES.items()]
 _SET_STATE, _GET_STATE, _STEP = _FUNCTIONS
 _SETTINGS: Any = numba.config  # whose attributes no type checker knows
-intrinsic: Any = extending.intrinsic  # its annotations count the context as an argument of the call
+intrinsic: Any = extending.intrinsic  # its annotations include the context as an argument
 
 
 class EngineModel:
-    """A copy of a model that the engine's own functions take, by its address."""
+    """A copy of a model, passed to the engine's functions by its address."""
 
     def __init__(self, model: Any) -> None:
         buffer = np.empty(mujoco().mj_sizeModel(model), np.uint8)
@@ -53,7 +53,7 @@ class EngineModel:
 
 
 class Places:
-    """Data of the engine for models of one file, one a thread; no step depends on what is left there."""
+    """Work areas (engine data) for models of one file, one per thread; steps do not depend on leftovers."""
 
     def __init__(self, model: EngineModel) -> None:
         self.table = np.full((_SETTINGS.NUMBA_NUM_THREADS, WORDS), FREE, np.int64)
@@ -67,7 +67,7 @@ _ALL: WeakSet[Places] = WeakSet()
 
 
 def _free_all() -> None:
-    """Threads that had taken places do not survive a fork."""
+    """Free all places after a fork, which threads that had taken places do not survive."""
     for places in _ALL:
         places.table[:, 0] = FREE
 
@@ -76,9 +76,9 @@ os.register_at_fork(after_in_child=_free_all)
 
 
 def kernel(robot: Mechanism, model: EngineModel, places: Places) -> Kernel:
-    """A frame of the robot. What has blown up is not a number.
+    """The kernel of a frame of the robot; a diverged state is nan.
 
-    Whoever runs it holds on to model and places: the parameters are their addresses, exact in 53 bits.
+    The caller must keep model and places alive: the parameters are their addresses, exact in 53 bits.
     """
     for name in _SIGNATURES:
         llvmlite.binding.add_symbol(name, ctypes.cast(_library()[name], ctypes.c_void_p).value)
@@ -88,7 +88,7 @@ def kernel(robot: Mechanism, model: EngineModel, places: Places) -> Kernel:
 
 @cache
 def _library() -> ctypes.CDLL:
-    """The engine's functions, of the library that its Python bindings link to."""
+    """The engine's functions, from the library that its Python bindings link to."""
     version = mujoco().__version__
     names = {"darwin": f"libmujoco.{version}.dylib", "win32": "mujoco.dll"}
     file = Path(mujoco().__file__).parent / names.get(sys.platform, f"libmujoco.so.{version}")
@@ -102,7 +102,7 @@ def _library() -> ctypes.CDLL:
 
 
 def _frame(robot: Mechanism) -> Callable:
-    """The kernel of robots whose states and inputs lie where this one's do."""
+    """The kernel of robots with the same layout of states and inputs."""
     kinds = mujoco().mjtState
     after = int(kinds.mjSTATE_FULLPHYSICS)
     before = after | int(kinds.mjSTATE_WARMSTART | kinds.mjSTATE_CTRL)
@@ -116,7 +116,7 @@ def _frame(robot: Mechanism) -> Callable:
         f"    state = np.zeros({begin + robot.model.nu})",
         *(f"    state[{place}] = x[{i}]" for i, place in enumerate(states)),
         *(f"    state[{place}] = u[{i}] / {units[i]!r}" for i, place in enumerate(controls)),
-        f"    if {' and '.join(possible)}:",  # the engine dies of none
+        f"    if {' and '.join(possible)}:",  # safe for the engine
         f"        advance(state, parameters, {before}, {after}, {robot.substeps})",
         "    else:",
         "        state[:] = np.nan",
@@ -142,7 +142,7 @@ def _advance_in_place(state, parameters, before, after, steps):
 
 @compiled_as(_advance_in_place)
 def _advance(state: Array, parameters: Array, before: int, after: int, steps: int) -> None:
-    """Advance the state by this number of steps in Python, in a place of its own, to compare."""
+    """Advance the state by this number of steps in Python, in its own place, for comparison."""
     engine, model = _library(), ctypes.c_void_p(int(parameters[0]))
     data, numbers = ctypes.c_void_p(engine.mj_makeData(model)), state.ctypes.data_as(ctypes.c_void_p)
     engine.mj_setState(model, data, numbers, before)
@@ -167,7 +167,7 @@ def _word(context, address):
 
 @intrinsic
 def _exchanged(context, address, expected, value):
-    """Whether the integer at an address was the expected one, and now is the value; threads take turns."""
+    """Atomic compare-and-exchange: whether the integer at an address was as expected, and is now `value`."""
 
     def generate(context, builder, signature, arguments):
         pointer = builder.inttoptr(arguments[0], _INTEGER.as_pointer())

@@ -1,4 +1,4 @@
-"""A robot's MuJoCo model: a file whose joints are a task's states, whose actuators are its inputs."""
+"""A robot's MuJoCo model: a file with joints as a task's states and actuators as its inputs."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from simbias.robots.mujoco.files import mjcf, read_model, source_files
 from simbias.robots.mujoco.parameters import RELATIVE, mujoco, names_of, put_values
 
 NO_ACTUATORS = "no actuators: name the joints to put motors at, as `actuators: [elbow]`"  # of a URDF
-MOST_STEPS = 10_000  # of the engine in a frame
-STATE_UNITS = (  # of positions and of velocities, by a joint's type in MuJoCo's order; "" of quaternions
+MOST_STEPS = 10_000  # of the engine per frame
+STATE_UNITS = (  # of positions and velocities, by joint type in MuJoCo's order; "" for quaternions
     (("m",) * 3 + ("",) * 4, ("m/s",) * 3 + ("rad/s",) * 3),  # free
     (("",) * 4, ("rad/s",) * 3),  # ball
     (("m",), ("m/s",)),  # slide
     (("rad",), ("rad/s",)),  # hinge
 )
-INPUT_UNITS = ("", "", "N", "N m")  # of a motor, by its joint's type; "" of any
+INPUT_UNITS = ("", "", "N", "N m")  # of a motor, by its joint's type; "": any
 
 
 class Mechanism:
@@ -33,23 +33,24 @@ class Mechanism:
     States are the positions of the joints, then their velocities. A hinge or a slide has one of each. A ball
     joint has a quaternion (w, x, y, z) and the angular velocity (3) in the body's frame; a free joint the
     position (x, y, z) and a quaternion, and the velocity (3) in the world's frame and the angular velocity in
-    the body's. Quaternions are normalised in each step. Inputs are the forces and torques of motors, of those
-    at a site along (else about) the axis of their gear; of other actuators they are their controls. A frame
-    is a whole number of the engine's steps, which are as long as the file says, or a little shorter.
+    the body's. Quaternions are normalised in each step. Inputs are the forces and torques of motors, for
+    motors at a site, along (else about) the axis of their gear; for other actuators, inputs are their
+    controls. A frame is a whole number of engine steps, which are as long as in the file, or slightly
+    shorter.
 
     Parameters
     ----------
     file
         MJCF or URDF (`simbias.robots.mujoco.files.read_model`).
     joints, actuators
-        Their names, in the order of states and inputs; by default all of the file, joints in the order of
-        the states if these have their names. An actuator may be a joint's name, as in a URDF, which knows
-        none: a motor is put there.
+        Their names, in the order of states and inputs; by default all in the file, with joints in the order
+        of the states if the names agree. An actuator may be a joint's name, as for a URDF, which has no
+        actuators: a motor is added there.
 
     Raises
     ------
     ValueError
-        If MuJoCo is not installed, the file cannot be read, or does not go with the task.
+        If MuJoCo is not installed, or the file cannot be read or does not fit the task.
     """
 
     def __init__(
@@ -61,9 +62,9 @@ class Mechanism:
     ) -> None:
         engine = mujoco()
         self._file, self._added = file, actuators or ()
-        self.shares: dict[str, float] = {}  # sizes and gains that are set, over those of the file
+        self.shares: dict[str, float] = {}  # set sizes and gains, relative to those of the file
         model = self.model = read_model(file, self._added)
-        self._data = engine.MjData(model)  # for what follows from its parameters, in every copy
+        self._data = engine.MjData(model)  # for quantities derived from parameters, shared by all copies
         self.source_files = source_files(file)
         known, motors = names_of(model, "joint"), names_of(model, "actuator")
         joints = _in_order(known, task) if joints is None else list(joints)
@@ -97,12 +98,12 @@ class Mechanism:
             )
         self.substeps = ceil(steps - 1e-6)
         model.opt.timestep = task.time_step / self.substeps
-        model.opt.disableflags |= engine.mjtDisableBit.mjDSBL_AUTORESET  # what blows up is no start
+        model.opt.disableflags |= engine.mjtDisableBit.mjDSBL_AUTORESET  # no reset after divergence
         if not (model.geom_contype.any() and model.geom_conaffinity.any()) and not model.npair:
             model.opt.disableflags |= engine.mjtDisableBit.mjDSBL_CONTACT  # not to look for what cannot touch
         positions = [_places(model.jnt_qposadr, model.nq, model.joint(name).id) for name in joints]
         velocities = [_places(model.jnt_dofadr, model.nv, model.joint(name).id) for name in joints]
-        # (n,) in full states, after the time
+        # (n,) indices in full states, after the time
         self.state_places = 1 + np.concatenate([*positions, *(model.nq + each for each in velocities)])
         self.control_places = np.array([model.actuator(name).id for name in actuators])  # (m,) in controls
         self.units = np.array([_unit(model, i) for i in self.control_places])  # (m,) of controls
@@ -119,13 +120,13 @@ class Mechanism:
                 )
 
     def _check_inputs(self, task: Task, actuators: Sequence[str]) -> None:
-        """Refuse inputs in other units than those of motors, or beyond what actuators give."""
+        """Refuse inputs in other units than those of motors, or beyond the actuators' limits."""
         model = self.model
         places = zip(task.inputs, actuators, self.control_places, self.units, strict=True)
         for (quantity, name, index, unit), lower, upper in zip(places, *task.input_bounds, strict=True):
             if not unit:
                 raise ValueError(f"{self._file}: the motor {name} has a gear or a gain of zero")
-            force = _input_unit(model, index)  # volts, or a share, may be a gain away from it
+            force = _input_unit(model, index)  # volts, or a share, may differ from it by a gain
             bare = re.sub(r"[\s·*.]", "", quantity.unit)
             if force and "N" in bare and bare != force.replace(" ", ""):
                 raise ValueError(
@@ -142,11 +143,11 @@ class Mechanism:
 
     @property
     def hidden(self) -> list[str]:
-        """Actuators with a state of their own, which the task's states do not show."""
+        """Actuators with internal states, which the task's states do not show."""
         return [self.model.actuator(i).name for i in np.flatnonzero(self.model.actuator_dyntype)]
 
     def with_values(self, values: Mapping[str, float]) -> Mechanism:
-        """The mechanism with other values of its parameters, by name, in their units or over the file's."""
+        """The mechanism with other parameter values, by name, in their units or relative to the file's."""
         changed = copy.copy(self)
         changed.model = copy.copy(self.model)
         put_values(changed.model, {n: v / self.shares.get(n, 1.0) for n, v in values.items()}, self._data)
@@ -154,7 +155,7 @@ class Mechanism:
         return changed
 
     def without_input_limits(self) -> Mechanism:
-        """The mechanism whose actuators take any input; files that are written of it keep the limits."""
+        """The mechanism without input limits of its actuators; written files keep the limits."""
         changed = self.with_values({})
         for i, unit in zip(self.control_places.tolist(), self.units.tolist(), strict=True):
             for limited, place, _ in _limits(changed.model, i, unit):
@@ -168,29 +169,29 @@ class Mechanism:
     def physics(self, x: Array) -> Array:
         """MuJoCo's full states (k, .) at states x (k, n)."""
         size = mujoco().mj_stateSize(self.model, mujoco().mjtState.mjSTATE_FULLPHYSICS)
-        full = np.zeros((len(x), size))  # time, positions, velocities, what else there is
+        full = np.zeros((len(x), size))  # time, positions, velocities, others
         full[:, self.state_places] = x
         return full
 
     def states(self, full: Array) -> Array:
-        """States x (k, n) of MuJoCo's full states (k, .)."""
+        """States x (k, n) from MuJoCo's full states (k, .)."""
         return full[:, self.state_places]
 
     def controls(self, u: Array) -> Array:
-        """Controls (k, .) of inputs u (k, m)."""
+        """Controls (k, .) from inputs u (k, m)."""
         controls = np.zeros((len(u), self.model.nu))
         controls[:, self.control_places] = u / self.units
         return controls
 
 
 def _in_order(joints: list[str], task: Task) -> list[str]:
-    """Joints of a file in the order of the task's states, if these have their names; else as they are."""
+    """Joints of a file in the order of the task's states, if the names agree; else in the file's order."""
     positions = [state.name for state in task.states[: len(joints)]]
     return positions if sorted(positions) == sorted(joints) else joints
 
 
 def _check(wanted: Sequence[str], known: Sequence[str], key: str, file: str) -> None:
-    """Names that a file has to have, each of another element."""
+    """Check that a file has these names, each for a different element."""
     for i, name in enumerate(wanted):
         if name not in known:
             raise ValueError(f"{key}: {file} has no {quote(name)}; it has {', '.join(known)}")
@@ -199,32 +200,32 @@ def _check(wanted: Sequence[str], known: Sequence[str], key: str, file: str) -> 
 
 
 def _places(addresses: Indices, count: int, joint: int) -> Indices:
-    """Indices of a joint's numbers among `count`: from its own address up to that of the next joint."""
+    """Indices of a joint's numbers among `count`: from its address up to the next joint's."""
     return np.arange(count)[addresses[joint] : [*addresses, count][joint + 1]]
 
 
 def _is_motor(model: Any, i: int) -> bool:
-    """Whether an actuator gives a force or torque that is in proportion to its control."""
+    """Whether an actuator's force or torque is proportional to its control."""
     fixed, none = mujoco().mjtGain.mjGAIN_FIXED, mujoco().mjtBias.mjBIAS_NONE
     return bool(model.actuator_gaintype[i] == fixed and model.actuator_biastype[i] == none)
 
 
 def _unit(model: Any, i: int) -> float:
-    """Input that a control of 1 gives: the force or torque of a motor, else 1."""
+    """The input for a control of 1: the force or torque of a motor, else 1."""
     motor = _is_motor(model, i)
     return float(_gear(model, i) * model.actuator_gainprm[i, 0]) if motor else 1.0
 
 
 def _input_unit(model: Any, i: int) -> str:
-    """The unit of an actuator's input: of force or torque of a motor on a joint; "" of others."""
+    """The unit of an actuator's input: force or torque for a motor on a joint; "" for others."""
     on_joint = model.actuator_trntype[i] == mujoco().mjtTrn.mjTRN_JOINT and _is_motor(model, i)
     return INPUT_UNITS[model.jnt_type[model.actuator_trnid[i, 0]]] if on_joint else ""
 
 
 def _gear(model: Any, i: int) -> float:
-    """Force of an actuator at a site along the axis of its six gears, or torque about it; else the gear.
+    """The gear; for an actuator at a site, the force along the axis of its six gears, or the torque about it.
 
-    Those on a ball joint are about three axes, and those on a free joint as at a site.
+    On a ball joint, gears act about three axes; on a free joint, they act as at a site.
     """
     gear, kind, target = model.actuator_gear[i], model.actuator_trntype[i], model.actuator_trnid[i, 0]
     is_free = kind == mujoco().mjtTrn.mjTRN_SITE
@@ -242,16 +243,17 @@ def _is_on_joint(model: Any, i: int) -> bool:
 
 
 def _reach(model: Any, i: int, unit: float) -> tuple[float, float]:
-    """Least and largest input of an actuator, as its file limits it."""
+    """Least and largest input of an actuator, by the limits in its file."""
     ranges = [limits for limited, place, limits in _limits(model, i, unit) if limited[place]]
     low, high = np.sort([(-np.inf, np.inf), *ranges], axis=1).T  # a gear may be negative
     return float(low.max()), float(high.min())
 
 
 def _limits(model: Any, i: int, unit: float) -> list[tuple[Any, int, Array]]:
-    """Limits of an actuator's control and, of a motor, of its force.
+    """Limits of an actuator's control and, for a motor, of its force.
 
-    Each holds if its flag does: flags, the place among them, and the input's range.
+    Each is a tuple: the array of flags, the index in it, and the input's range; a limit applies if its flag
+    is set.
     """
     found = [(model.actuator_ctrllimited, i, unit * model.actuator_ctrlrange[i])]
     if _is_motor(model, i):

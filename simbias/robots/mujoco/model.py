@@ -18,31 +18,31 @@ from simbias.robots.mujoco.kernel import ABSURD, EngineModel, Places, kernel
 from simbias.robots.mujoco.mjcf import Mechanism
 from simbias.robots.mujoco.parameters import Factors, Values, changes, mujoco, names_of, unit_of, values_of
 
-FEW = 64  # states, for which threads take longer to begin than they save
+FEW = 64  # states: for fewer, starting threads takes longer than it saves
 
 
 @final
 class Mujoco(Nominal):
-    """f' of Eq. 1: a frame in MuJoCo, many states at once on all threads.
+    """f' of Eq. 1: a frame in MuJoCo, for many states in parallel on all threads.
 
-    A step begins without memory of the one before (no warm start), so that x_next is a function of x and u.
+    A step has no memory of the previous one (no warm start), so x_next is a function of x and u.
 
     Parameters
     ----------
     file, joints, actuators
         The robot (`simbias.robots.mujoco.mjcf.Mechanism`).
     values, factors
-        Physical parameters that are set, and that are multiplied, by name
+        Physical parameters to set, and factors to multiply them by, by name
         (`simbias.robots.mujoco.parameters`).
     uncertainty
-        Of parameters by name: the standard deviation of the logarithm or, where a value is zero, of the
-        normal distribution, in the parameter's unit, whose upper half is its prior.
+        Uncertainty of parameters by name: the standard deviation of the logarithm or, if a value is zero, of
+        a half-normal prior's underlying normal distribution, in the parameter's unit.
 
     Raises
     ------
     ValueError
-        If the file cannot be read or does not go with the task, no parameter has such a name, or the robot
-        has a state that the task's do not show.
+        If the file cannot be read or does not fit the task, no parameter has such a name, or the robot has a
+        state that the task's states do not show.
     """
 
     kernel: Kernel
@@ -77,19 +77,19 @@ class Mujoco(Nominal):
         self.parameters = uncertain(known, units, spreads)
 
     def step(self, x: Array, u: Array) -> Array:
-        """x_next (..., n), one frame after x (..., n) under u (..., m); what has blown up stays so.
+        """x_next (..., n), one frame after x (..., n) under u (..., m); a diverged state stays diverged.
 
         Raises
         ------
         TypeError
-            If x or u holds symbols, as where a policy that predicts is to be written down.
+            If x or u holds symbols, as when tracing a policy that predicts with this model.
         """
         if object in (x.dtype, u.dtype):
             raise TypeError("the policy predicts by MuJoCo's engine, which is no formula")
         leading = np.broadcast_shapes(x.shape[:-1], u.shape[:-1])
         x, u = (np.broadcast_to(a, (*leading, a.shape[-1])).reshape(-1, a.shape[-1]) for a in (x, u))
         x_next = np.full_like(x, np.nan)
-        possible = (np.abs(x) < ABSURD).all(axis=1) & np.isfinite(u).all(axis=1)  # the engine dies of none
+        possible = (np.abs(x) < ABSURD).all(axis=1) & np.isfinite(u).all(axis=1)  # safe for the engine
         if possible.any():
             x_next[possible] = self._step_possible(x[possible], u[possible])
         return x_next.reshape(*leading, -1)
@@ -117,11 +117,11 @@ class Mujoco(Nominal):
         return self._with(dict(zip(names, np.asarray(values).tolist(), strict=True)))
 
     def without_dry_friction(self) -> Mujoco:
-        """The model without friction of its joints; contacts keep theirs."""
+        """The model without joint friction; contacts keep theirs."""
         return self._with({f"{name}.friction": 0.0 for name in names_of(self._robot.model, "joint")})
 
     def without_input_limits(self) -> Mujoco:
-        """The model whose motors are not limited."""
+        """The model with unlimited motors."""
         return self._of(self._robot.without_input_limits())
 
     def _with(self, values: Mapping[str, float]) -> Mujoco:

@@ -18,13 +18,13 @@ from simbias.core.records import Array
 # By name, `*` for any: `{"*.mass": 1.3}`.
 Values = dict[str, Annotated[float, Field(ge=0, le=1e6)]]
 Factors = dict[str, Annotated[float, Field(gt=0, le=1e3)]]
-UNNAMED = ("", "world")  # what has no parameters
-RELATIVE = (".size", ".gain")  # endings of parameters that multiply what a compiled model has
+UNNAMED = ("", "world")  # names of elements without parameters
+RELATIVE = (".size", ".gain")  # endings of parameters that are factors on a compiled model's values
 
 
 @cache
 def mujoco() -> Any:
-    """The library; it warns of unstable simulations in the log, not in a file of the current folder."""
+    """The MuJoCo library, with warnings of unstable simulations in the log, not in a file."""
     engine = library("mujoco", "MuJoCo", "mujoco")
     engine.set_mju_user_warning(logging.getLogger(__name__).info)
     return engine
@@ -35,12 +35,12 @@ class ModelQuantity(NamedTuple):
 
     element: str  # body, joint, geom or actuator
     unit: str
-    get: Callable[[Any, str], float]  # of a model and an element's name
+    get: Callable[[Any, str], float]  # from a model and an element's name
     put: Callable[[Any, str, float], None]
 
 
 def _array(element: str, unit: str, field: str) -> ModelQuantity:
-    """A quantity in a field, as of `model.joint("hinge").damping`: of all axes of a joint, else its first."""
+    """A quantity in a field such as `model.joint("hinge").damping`: all axes of a joint, else the first."""
 
     def values(model: Any, name: str) -> Array:
         return getattr(getattr(model, element)(name), field)
@@ -52,7 +52,7 @@ def _array(element: str, unit: str, field: str) -> ModelQuantity:
 
 
 def _put_mass(model: Any, name: str, value: float) -> None:
-    """Scale a body's mass, and its inertia with it: the same shape of another density."""
+    """Scale a body's mass and inertia together: the same shape with another density."""
     body = model.body(name)
     if body.mass[0]:
         body.inertia *= value / body.mass[0]
@@ -60,13 +60,13 @@ def _put_mass(model: Any, name: str, value: float) -> None:
 
 
 def _put_inertia(model: Any, name: str, value: float) -> None:
-    """Set the largest principal moment of inertia of a body, the others in proportion."""
+    """Set the largest principal moment of inertia of a body, and scale the others in proportion."""
     inertia = model.body(name).inertia
     inertia[:] = value if not inertia.any() else inertia * (value / inertia.max())
 
 
 def _put_size(model: Any, name: str, value: float) -> None:
-    """Scale a body at the same mass, with the distances of all that hangs from it; joints stay together."""
+    """Scale a body's size at the same mass, including offsets of attached bodies; joints stay together."""
     body = model.body(name).id
     body_bounds = model.body_bvhadr[body] + np.arange(model.body_bvhnum[body])
     geoms, sites = model.geom_bodyid == body, model.site_bodyid == body
@@ -90,7 +90,7 @@ def _put_size(model: Any, name: str, value: float) -> None:
 
 
 def _first_joints(model: Any) -> Array:
-    """Where the first joint of each body is, from the body's origin in the parent's axes (nbody, 3)."""
+    """Position of each body's first joint, relative to the body's origin, in the parent's axes (nbody, 3)."""
     joints = np.zeros((model.nbody, 3))
     for body in np.flatnonzero(model.body_jntnum):
         position = model.jnt_pos[model.body_jntadr[body]]
@@ -99,16 +99,16 @@ def _first_joints(model: Any) -> Array:
 
 
 def _put_gain(model: Any, name: str, value: float) -> None:
-    """Let an actuator give this share of its force."""
+    """Scale an actuator's force by this factor."""
     actuator = model.actuator(name)
     if actuator.biastype[0] != mujoco().mjtBias.mjBIAS_AFFINE:
         actuator.gear[:] *= value
         return
-    for forces in (actuator.gainprm, actuator.biasprm, actuator.forcerange):  # a gear scales lengths, too
+    for forces in (actuator.gainprm, actuator.biasprm, actuator.forcerange):  # a gear also scales lengths
         forces[:] *= value
 
 
-# Written into the compiled model: through MjSpec a draw with one mesh takes 80 ms in place of 0.2 ms.
+# Written into the compiled model: via MjSpec, a draw with one mesh takes 80 ms instead of 0.2 ms.
 QUANTITIES: Mapping[str, ModelQuantity] = {
     "mass": _array("body", "kg", "mass")._replace(put=_put_mass),
     "size": ModelQuantity("body", "1", lambda model, name: 1.0, _put_size),
@@ -125,7 +125,7 @@ QUANTITIES: Mapping[str, ModelQuantity] = {
 
 
 def values_of(model: Any, pattern: str) -> dict[str, float]:
-    """The parameters whose names fit a pattern, as `pole.mass` or `*.mass`, and their values.
+    """The parameters whose names match a pattern, such as `pole.mass` or `*.mass`, and their values.
 
     Raises
     ------
@@ -146,7 +146,7 @@ def values_of(model: Any, pattern: str) -> dict[str, float]:
 
 
 def unit_of(model: Any, name: str) -> str:
-    """The unit of a parameter; that of a joint is of angles or, if it slides, of lengths."""
+    """The unit of a parameter; for a joint, in terms of angles or, if it slides, of lengths."""
     element, _, kind = name.rpartition(".")
     turning, _, sliding = QUANTITIES[kind].unit.partition(" or ")
     slides = bool(sliding) and model.joint(element).type[0] == mujoco().mjtJoint.mjJNT_SLIDE
@@ -154,11 +154,12 @@ def unit_of(model: Any, name: str) -> str:
 
 
 def put_values(model: Any, values: Mapping[str, float], data: Any = None) -> None:
-    """Set parameters of a compiled model, by name, in their units; masses first, inertias grow with them.
+    """Set parameters of a compiled model, by name, in their units; masses first, as inertias scale with them.
 
-    Those that are `RELATIVE` multiply what it has.
+    `RELATIVE` ones are factors on the model's values.
 
-    The engine computes what follows from them in data of a model of the same sizes; new data take 0.4 ms.
+    The engine computes derived quantities in data for a model of the same sizes; allocating data takes 0.4
+    ms.
     """
     for kind, quantity in QUANTITIES.items():
         for name, value in values.items():
@@ -170,9 +171,9 @@ def put_values(model: Any, values: Mapping[str, float], data: Any = None) -> Non
 
 
 def changes(model: Any, values: Values, factors: Factors) -> dict[str, float]:
-    """Values by name of the parameters that are set, and of those that are multiplied.
+    """Values by name of the parameters that are set or multiplied.
 
-    Of several values whose patterns fit a name, the last one counts; all factors that fit multiply it.
+    If several values match a name, the last one counts; all matching factors multiply it.
 
     Raises
     ------
@@ -187,7 +188,7 @@ def changes(model: Any, values: Values, factors: Factors) -> dict[str, float]:
 
 
 def names_of(model: Any, element: str) -> list[str]:
-    """Names of the bodies (but the world), joints, geoms or actuators that have one, in order."""
+    """Names of all named bodies (except the world), joints, geoms or actuators, in order."""
     count = getattr(model, {"body": "nbody", "joint": "njnt", "geom": "ngeom", "actuator": "nu"}[element])
     names = [getattr(model, element)(index).name for index in range(count)]
     return [name for name in names if name not in UNNAMED]

@@ -1,4 +1,4 @@
-"""A robot's MuJoCo model as MuJoCo renders it: without perspective, without a window."""
+"""MuJoCo's rendering of a robot's model: orthographic, without a window."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Rendering:
     """Images of a robot, to scale; planes are left out."""
 
     def __init__(self, robot: Mechanism, view: View) -> None:
-        self._robot = robot.with_values({})  # a copy, as its way to be seen is changed
+        self._robot = robot.with_values({})  # a copy, as its visual settings are changed
         self._axes = axes_of(view)
         model, camera = self._robot.model, mujoco().MjvCamera()
         self._solid = solid_geoms(model)
@@ -44,9 +44,9 @@ class Rendering:
 
     @cached_property
     def _context(self) -> tuple[Any, Any, Any]:
-        """The OpenGL context, what draws in it, and the scene."""
+        """The OpenGL context, the renderer, and the scene."""
         try:
-            from mujoco.egl import GLContext  # MuJoCo's own choice is made when it is imported
+            from mujoco.egl import GLContext  # MuJoCo makes its own choice on import
 
             context = GLContext(PIXELS, PIXELS)
             context.make_current()
@@ -71,7 +71,7 @@ class Rendering:
         low, high = (centres - radii).min(axis=0), (centres + radii).max(axis=0)
         middle, half = (low + high) / 2, (0.5 + MARGIN) * float((high - low)[self._axes].max())
         self._camera.lookat, self._camera.distance = middle, 10 * float(np.linalg.norm(high - low))
-        model.vis.global_.fovy = 2 * half  # the height that is seen, in m, without perspective
+        model.vis.global_.fovy = 2 * half  # the visible height in m, without perspective
         context.make_current()
         category = int(engine.mjtCatBit.mjCAT_ALL)
         engine.mjv_updateScene(
@@ -87,7 +87,7 @@ class Rendering:
 
 
 def _cropped(pixels: Array, middle: Array, half: float) -> Image:
-    """Crop a square image about a middle (2,), twice `half` m wide, to the pixels that show something."""
+    """Crop a square image about a middle (2,), twice `half` m wide, to its visible pixels."""
     rows, columns = (np.flatnonzero(pixels[..., 3].any(axis=axis)) for axis in (1, 0))
     if not len(rows):
         rows = columns = np.arange(len(pixels))

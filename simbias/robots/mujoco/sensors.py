@@ -1,4 +1,4 @@
-"""Sensors and sites of a MuJoCo model: what they say in a state."""
+"""Sensor values and site positions of a MuJoCo model in a state."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from simbias.robots.mujoco.parameters import mujoco
 
 @dataclass(frozen=True)
 class SensorFile:
-    """A file, as `simbias.robots.mujoco.mjcf.Mechanism` takes it, and what is read in its model."""
+    """A file, as for `simbias.robots.mujoco.mjcf.Mechanism`, and the sensors and sites to read."""
 
     file: ConfigFile
-    sensors: list[str] | None = None  # None: all that have a name and depend on the state alone
+    sensors: list[str] | None = None  # None: all named ones that depend only on the state
     sites: list[str] | None = None  # whose positions (3) in m are read
-    joints: list[str] | None = None  # in the order of the states, as the nominal model's
+    joints: list[str] | None = None  # in the order of the states, as for the nominal model
     actuators: list[str] | None = None
 
 
@@ -32,8 +32,8 @@ class Sensors:
     Raises
     ------
     ValueError
-        If the file does not go with the task, has no such sensor or site, or a sensor measures forces or
-        accelerations, which the state alone does not tell.
+        If the file does not fit the task, has no such sensor or site, or a sensor measures forces or
+        accelerations, which the state alone does not determine.
     """
 
     def __init__(self, task: Task, source: SensorFile) -> None:
@@ -43,7 +43,7 @@ class Sensors:
         model = self._robot.model
         self._data: Any = engine.MjData(model)
         known = {model.sensor(i).name: model.sensor(i) for i in range(model.nsensor)}
-        stage = int(engine.mjtStage.mjSTAGE_VEL)  # up to which positions and velocities tell a sensor's value
+        stage = int(engine.mjtStage.mjSTAGE_VEL)  # up to here, states determine a sensor's value
         told = [name for name, sensor in known.items() if name and int(sensor.needstage[0]) <= stage]
         sizes: list[tuple[str, int]] = []
         self._places: list[int] = []
@@ -63,12 +63,12 @@ class Sensors:
         self.names = [name if size == 1 else f"{name}[{i}]" for name, size in sizes for i in range(size)]
 
     def __call__(self, x: Array) -> Array:
-        """Their values (..., s), in the order of `names`, at states x (..., n).
+        """The values (..., s), in the order of `names`, at states x (..., n).
 
         Raises
         ------
         TypeError
-            If x holds symbols, as where a law is to be compiled.
+            If x holds symbols, as when tracing a law.
         """
         if x.dtype == object:
             raise TypeError("the engine computes sensors and sites")
@@ -77,7 +77,7 @@ class Sensors:
         return values.reshape(*x.shape[:-1], len(self.names))
 
     def _read(self, full: Array) -> Array:
-        """Their values (s,) at a full state of the engine."""
+        """The values (s,) at a full state of the engine."""
         if not np.isfinite(full).all():
             return np.full(len(self.names), np.nan)
         engine, model, data = mujoco(), self._robot.model, self._data
