@@ -1,1 +1,1 @@
-"""Experiments on hardware: checked, limited in time and by safety limits."""
+"""Experiments on hardware: checked, and limited in time and by safety limits."""

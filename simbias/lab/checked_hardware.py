@@ -1,4 +1,4 @@
-"""Experiments that end in a checked rollout or in one clear line, even if the hardware misbehaves."""
+"""Experiments that end in a checked rollout or a one-line error, even if the hardware misbehaves."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from simbias.lab.checks import check_rollout
 from simbias.lab.safety import NO_LIMITS, Safety, SafetyLimitedPolicy
 from simbias.lab.targets import WithTargets, beside
 
-STOP_SECONDS = 5.0  # that `Hardware.stop` may take, and then again the experiment that it stops
-INTERRUPT_SECONDS = 1.5  # that both may take after Ctrl-C
-BEGIN_SECONDS = 0.2  # that a thread may take to begin
-MESSAGE_LENGTH = 250  # characters of an error that a hardware raises
+STOP_SECONDS = 5.0  # for `Hardware.stop`, and again for the stopped experiment to end
+INTERRUPT_SECONDS = 1.5  # for both after Ctrl-C
+BEGIN_SECONDS = 0.2  # for a thread to start
+MESSAGE_LENGTH = 250  # characters of an error raised by hardware
 
 
 def ask(policy: Policy, theta: Array, start: Array) -> bool:
@@ -43,20 +43,20 @@ def ask(policy: Policy, theta: Array, start: Array) -> bool:
 
 @dataclass(frozen=True)
 class ExperimentConditions:
-    """Under which conditions experiments are made.
+    """The conditions under which experiments are run.
 
     Parameters
     ----------
     timeout
-        Seconds of wall time that an experiment may take. With a limit, it runs in a thread of its own. One
-        that takes longer is stopped, and its result ignored. Code that never returns to Python's interpreter
-        cannot be stopped so.
+        Wall time in s that an experiment may take. With a limit, it runs in its own thread; if it takes
+        longer, it is stopped, and its result ignored. Code that never returns to the Python interpreter
+        cannot be stopped this way.
     safety
-        Limits at which an experiment is aborted; it has failed then.
+        Limits at which an experiment is aborted and counts as failed.
     confirm
-        Whether a person is asked before the first experiment.
+        Whether a person must confirm before the first experiment.
     ask
-        Asks whether a policy with theta (p,) may be run from a start (n,).
+        Function that asks whether a policy with theta (p,) may run from a start (n,).
     """
 
     timeout: float | None = None
@@ -81,24 +81,24 @@ class ExperimentRecord(ABC):
 
     @abstractmethod
     def experiment(self, theta: Array, rng: np.random.Generator, make: MakeExperiment) -> Rollout:
-        """The next experiment, with theta (p,): replayed, or made and kept before anyone uses it."""
+        """The next experiment, with theta (p,): replayed, or run and kept before it is used."""
 
     def refuse(self, returned: Any, theta: Array, start: Array, why: str) -> str:
-        """Keep what a hardware returned that is no rollout; where it is, as the end of a message."""
+        """Keep an invalid result of the hardware; return its place as the end of a message."""
         return ""
 
 
 @final
 class CheckedHardware(Hardware):
-    """A hardware whose every experiment ends in a rollout that keeps the contract, or in one line.
+    """Hardware whose experiments end in a rollout that keeps the contract, or in a one-line error.
 
     Parameters
     ----------
     hardware
         May raise, hang, or return anything.
     task
-        Defines the shapes, the horizon and the limits of its rollouts. The hardware is given a start without
-        its targets, and a policy that knows them.
+        Defines the shapes, the horizon and the limits of rollouts. The hardware gets a start without targets,
+        and a policy that knows them.
     conditions
         Timeout, safety limits and confirmation.
     record
@@ -123,7 +123,7 @@ class CheckedHardware(Hardware):
         self._bounds = conditions.safety.bounds(task.without_targets) if conditions.safety.limits else None
         self._ask = conditions.ask if conditions.confirm else None
         self._record = record
-        self._returned: Any = None  # by the hardware, in the latest experiment
+        self._returned: Any = None  # the hardware's result in the latest experiment
         self.sets_start = hardware.sets_start
 
     def with_hardware(self, hardware: Hardware, task: Task) -> CheckedHardware:
@@ -135,22 +135,22 @@ class CheckedHardware(Hardware):
         return other
 
     def whole(self) -> AbstractContextManager[None]:
-        """Inside, what the hardware has returned is kept and counted before an interruption."""
+        """Defer interruptions within the context until the hardware's result is kept and counted."""
         self._returned = None
         return deferred(lambda: self._returned is not None)
 
     def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
-        """One experiment with theta (p,), or its replay.
+        """Run one experiment with theta (p,), or replay it.
 
         Raises
         ------
         HardwareError
-            If it could not be carried out, for any error of the hardware; did not end in time; or its rollout
-            is not what the contract asks for.
+            If it could not be carried out (any hardware error), did not end in time, or its rollout breaks
+            the contract.
         ConfigError
-            If a file that a person put for it cannot be taken.
+            If a file that a person provided for it is bad input.
         Waiting
-            If its result is not there yet.
+            If its result is not available yet.
         """
         make = partial(self._make, policy, theta, start)
         return make(rng) if self._record is None else self._record.experiment(theta, rng, make)
@@ -162,14 +162,14 @@ class CheckedHardware(Hardware):
             self._ask = None
         start, targets = np.split(start, [len(self._task.states)])
         policy = WithTargets(policy, targets, self._targets) if len(targets) else policy
-        returned = self._run(policy, theta.copy(), start.copy(), rng)  # it may write into its copies
+        returned = self._run(policy, theta.copy(), start.copy(), rng)  # the hardware may overwrite its copies
         return beside(replace(self._checked(returned, theta, start), parameters=theta), targets)
 
     def _checked(self, returned: Any, theta: Array, start: Array) -> Rollout:
         try:
             begins = start if self.sets_start else None
             return check_rollout(returned, self._name, self._task, self._bounds, begins)
-        except Exception as error:  # also what a rollout of its own class raises
+        except Exception as error:  # including errors of a custom rollout class
             problem = str(error)
             if not isinstance(error, HardwareError):
                 problem = f"{self._name}: expected a Rollout, got {with_type(error, MESSAGE_LENGTH)}"
@@ -177,7 +177,7 @@ class CheckedHardware(Hardware):
             raise HardwareError(f"{problem}{where}") from error
 
     def _run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Any:
-        """The hardware's answer, not yet checked; an aborted experiment up to its last frame."""
+        """The hardware's unchecked result; for an aborted experiment, the rollout up to its last frame."""
         limited = SafetyLimitedPolicy(policy, self._task, self._bounds) if self._bounds else None
 
         def experiment() -> Any:
@@ -186,16 +186,16 @@ class CheckedHardware(Hardware):
                 self._returned = self._hardware.run(limited or policy, theta, start, rng)
                 return self._returned
             finally:
-                if os.getpid() != process:  # a process that the hardware forked ends here
+                if os.getpid() != process:  # a process forked by the hardware ends here
                     os._exit(1)
 
         try:
             return experiment() if self._timeout is None else self._in_time(experiment)
         except KeyboardInterrupt:
-            if self._timeout is None:  # else it has been stopped
+            if self._timeout is None:  # otherwise it has been stopped already
                 _Call(self._hardware.stop).ended(INTERRUPT_SECONDS)
             raise
-        except BaseException as error:  # also SystemExit, and what other libraries cancel tasks by
+        except BaseException as error:  # also SystemExit, and what other libraries raise to cancel tasks
             if limited and (aborted := limited.aborted):
                 self._returned = aborted
                 _Call(self._hardware.stop).ended(STOP_SECONDS)
@@ -209,7 +209,7 @@ class CheckedHardware(Hardware):
             raise HardwareError(f"{self._name}: expected a Rollout, got {got}") from error
 
     def _in_time(self, experiment: Callable[[], Any]) -> Any:
-        """The result of an experiment within its timeout, in a thread of its own."""
+        """The result of an experiment within its timeout, run in its own thread."""
         assert self._timeout is not None
         call = _Call(experiment)
         try:
@@ -228,7 +228,7 @@ class CheckedHardware(Hardware):
         return call.result()
 
     def _stop(self, experiment: _Call) -> str:
-        """Stop an experiment; how that went."""
+        """Stop an experiment; return the outcome in words."""
         stop = _Call(self._hardware.stop)
         if not stop.ended(STOP_SECONDS):
             return f"did not end within {STOP_SECONDS:g} s either"
@@ -241,12 +241,12 @@ class CheckedHardware(Hardware):
 
     @property
     def _name(self) -> str:
-        """The hardware's method, as errors name it."""
+        """The name of the hardware's method in errors."""
         return f"{type(self._hardware).__name__}.run"
 
 
 class _Call:
-    """A call in a thread that ends with the process at the latest; `ended` begins it."""
+    """A call in a daemon thread; `ended` starts it."""
 
     def __init__(self, function: Callable[[], Any]) -> None:
         self._function = function
@@ -254,7 +254,7 @@ class _Call:
         self._error: BaseException | None = None
         self._started = False
         self._begun = threading.Event()
-        self._ended = threading.Event()  # Ctrl-C makes `Thread.join` of Python 3.11 forget the thread
+        self._ended = threading.Event()  # in Python 3.11, Ctrl-C makes `Thread.join` forget the thread
         self._thread = threading.Thread(target=copy_context().run, args=(self._run,), daemon=True)
 
     def _run(self) -> None:
@@ -276,13 +276,13 @@ class _Call:
 
     def interrupt(self) -> None:
         """Raise KeyboardInterrupt in the call, so that its `finally` brings the robot to rest."""
-        self._started = True  # one that was interrupted before it began does not begin
+        self._started = True  # a call interrupted before its start never starts
         if self._begun.wait(BEGIN_SECONDS):
             thread = ctypes.c_ulong(self._thread.ident or 0)
             ctypes.pythonapi.PyThreadState_SetAsyncExc(thread, ctypes.py_object(KeyboardInterrupt))
 
     def result(self) -> Any:
-        """The call's result; its error is raised."""
+        """The call's result; raises its error."""
         if self._error is not None:
             raise self._error
         return self._result

@@ -1,4 +1,4 @@
-"""The check of what enters from a hardware: shapes, numbers, length, safety limits."""
+"""Checks of rollouts from hardware: shapes, numbers, length, safety limits."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from simbias.core.quantities import unwound
 from simbias.core.records import Array, Rollout
 from simbias.lab.safety import Bounds, hold
 
-START_DEVIATIONS = 20.0  # of the task's starts, that an experiment may begin away from the requested one
-LARGEST = 1e15  # size of a state or input in any unit: no sensor exceeds it, and float32 holds its square
+START_DEVIATIONS = 20.0  # deviations of the task's starts: tolerance of an experiment's start
+LARGEST = 1e15  # of a state or input in any unit: no sensor exceeds it, and its square fits float32
 
 
 def start_tolerance(task: Task) -> Array:
-    """Largest deviation (n,) from the start where an experiment begins; inf where starts do not vary."""
+    """Largest allowed deviation (n,) from the requested start; inf where starts do not vary."""
     return np.where(task.start_deviation > 0, START_DEVIATIONS * task.start_deviation, np.inf)
 
 
 def check_rollout(
     rollout: Any, source: str, task: Task, bounds: Bounds | None = None, start: Array | None = None
 ) -> Rollout:
-    """A rollout with float64 arrays of its own, held against safety limits; without cost and parameters.
+    """Check a rollout and copy it to float64 arrays, within safety limits, without cost and parameters.
 
-    Unless it is of sensors, it has to begin near the start (n,), if one is given, and ends at the first state
-    that violates a criterion, if it names no failure.
+    Unless its states are measured, it has to begin near the start (n,), if given. If it names no failure, it
+    ends at the first state that violates a criterion.
 
     Raises
     ------
     HardwareError
-        One line: source, field, what was expected, what came.
+        One line: source, field, expected value, given value.
     """
     if not isinstance(rollout, Rollout):
         raise HardwareError(f"{source}: expected a Rollout, got {type(rollout).__name__}")
@@ -65,7 +65,7 @@ def check_rollout(
     failed_at, failure = _frame(rollout.failed_at, f"{source}: failed_at"), rollout.failure
     ends = np.flatnonzero(task.violated(states[1:]) >= 0)
     if failed_at is None and not rollout.sensed and len(ends):
-        failed_at = k = int(ends[0]) + 1  # it did not look, as a lab's own class may not
+        failed_at = k = int(ends[0]) + 1  # a custom class may not have checked failures
         failure = task.failure(states[k])
         states, inputs = states[: k + 1], inputs[:k]
         measured = None if measured is None else measured[: k + 1]
@@ -82,22 +82,22 @@ def check_rollout(
 
 
 def _array(given: Any, name: str, shape: tuple[int | None, int]) -> Array:
-    """A float64 copy of finite numbers in this shape; None is any length."""
+    """A float64 copy of finite numbers in this shape; None: any length."""
     words = f"({', '.join('k' if length is None else str(length) for length in shape)})"
     try:
         rows = given if isinstance(given, list | tuple) else [given]
         masked = any(isinstance(row, np.ma.MaskedArray) for row in rows)
         array = np.ma.array(given, dtype=np.float64).filled(np.nan) if masked else np.asarray(given)
-    except Exception as error:  # rows of several lengths, or an object of its own class
+    except Exception as error:  # rows of different lengths, or a custom class
         raise HardwareError(f"{name}: expected the shape {words}, got {quote(given)}") from error
     if not np.issubdtype(array.dtype, np.floating) and not np.issubdtype(array.dtype, np.integer):
         kind = quote(given) if array.ndim == 0 else array.dtype
         raise HardwareError(f"{name}: expected real numbers, got {kind}")
-    if array.shape == (0,):  # of an empty list, which has no columns
+    if array.shape == (0,):  # from an empty list, which has no columns
         array = array.reshape(0, shape[1])
     if array.ndim != 2 or any(want not in (None, got) for want, got in zip(shape, array.shape, strict=True)):
         raise HardwareError(f"{name}: expected the shape {words}, got {array.shape}")
-    with np.errstate(over="ignore"):  # what float64 cannot hold is refused as not finite
+    with np.errstate(over="ignore"):  # values beyond float64 are refused as not finite
         own = np.array(array, dtype=np.float64, order="C")
     wrong = np.flatnonzero(~(np.abs(own) <= LARGEST).all(axis=1))
     if len(wrong):
@@ -121,7 +121,7 @@ def _frame(given: Any, name: str) -> int | None:
 
 
 def _failure(given: Any, failed_at: int | None, name: str) -> str | None:
-    """The name of a failure, short enough to be stored; None without one."""
+    """The name of a failure, checked to be short enough to store; None without a failure."""
     if given is not None and not isinstance(given, str):
         raise HardwareError(f"{name}: expected a name or None, got {quote(given)}")
     if failed_at is None and given is not None:

@@ -1,4 +1,4 @@
-"""States that are the rates of others: whether recorded ones agree with how their values change."""
+"""Checks whether recorded rates agree with the changes of their positions."""
 
 from __future__ import annotations
 
@@ -10,27 +10,27 @@ from simbias.core import HardwareError, Task, rate_pairs
 from simbias.core.records import Array, Indices, Rollout
 from simbias.learning.noise import noise_of
 
-SLOWEST = 0.05  # s over which positions and velocities are compared
-LATEST, CLEARLY = 0.1, 0.5  # s that a rate may be late; its share of squared differences then, at most
-LATE, PART = 0.002, 0.3  # s, and of a frame, that a rate may be late, as simulators of few steps a frame are
-SURE = 4.0  # standard errors of a delay
-TWICE = 2.0  # how much positions may differ from the integrals of velocities
-CORRELATED = 0.8  # below, velocities say too little for their size to be compared
+SLOWEST = 0.05  # s, interval over which positions and velocities are compared
+LATEST, CLEARLY = 0.1, 0.5  # s, largest delay of a rate; largest share of squared differences left then
+LATE, PART = 0.002, 0.3  # s, and share of a frame: tolerated delay, as of simulators with few steps per frame
+SURE = 4.0  # standard errors of a significant delay
+TWICE = 2.0  # allowed ratio of position changes to integrated velocities
+CORRELATED = 0.8  # correlation below which sizes of velocities are not compared
 UNRELATED, CLEAR = 0.3, 4.0  # below, however late: others, if both change by so many times their noise
-LASTING = 0.5  # s of changes, which tell that
-JUMP = 3.0  # times what the largest velocity moves between two samples: no robot does
-RARELY, FAR = 0.98, 4.0  # the share of samples that a jump exceeds, and how many times it does
+LASTING = 0.5  # s, least duration of changes for a verdict
+JUMP = 3.0  # times the largest velocity's motion between two samples: impossible for a robot
+RARELY, FAR = 0.98, 4.0  # a jump exceeds this quantile of samples by this factor
 
 
 def rates_of(task: Task) -> dict[int, int]:
-    """Of each state that is another's rate: that one, by their places."""
+    """A map from each state that is a rate to its position, by their indices."""
     return {rate: position for position, rate in rate_pairs(task.without_targets.states)}
 
 
 def check_rates(source: str, pieces: Sequence[Rollout], task: Task, rates: Mapping[int, int]) -> None:
-    """Refuse rates that are not those of their values: degrees, a time in ms, a wrong column.
+    """Refuse rates that disagree with their positions: degrees, a time in ms, a wrong column.
 
-    Rates map places of states to those of what they are the rates of.
+    `rates` maps indices of rates to indices of their positions.
     """
     names, noise = [state.name for state in task.states], noise_of(pieces)
     for i, position in rates.items():
@@ -56,16 +56,16 @@ def check_rates(source: str, pieces: Sequence[Rollout], task: Task, rates: Mappi
 
 
 def jumps(times: Array, values: Array, rates: Array) -> Indices:
-    """Samples (j,) before which values (k,) rarely change by so much more than their rates (k,) tell."""
+    """Samples (j,) before which values (k,) jump, by much more than their rates (k,) explain."""
     steps, moved = np.diff(times), np.diff(values)
     excess = np.abs(moved - steps * (rates[1:] + rates[:-1]) / 2)
     usual = np.quantile(excess[moved != 0], RARELY) if moved.any() else np.inf  # an encoder's step, if slow
-    due = np.maximum(steps, np.median(steps))  # a sample may be late, and the next one in time
+    due = np.maximum(steps, np.median(steps))  # a sample may be late, and the next one on time
     return np.flatnonzero(excess > np.maximum(JUMP * np.abs(rates).max() * due, FAR * usual)) + 1
 
 
 def late_rates(pieces: Sequence[Rollout], task: Task, rates: Mapping[int, int]) -> dict[int, float]:
-    """By how many s recorded rates follow how their values change, by the places of those that clearly do."""
+    """Delays in s of recorded rates behind the changes of their positions, by index, where significant."""
     latest, found = task.frames(LATEST), {}
     for i, position in rates.items():
         changes = _changes(pieces, i, position, task)
@@ -80,9 +80,10 @@ def late_rates(pieces: Sequence[Rollout], task: Task, rates: Mapping[int, int]) 
 
 
 def _delay(pieces: Sequence[Rollout], rate: int, changes: Sequence[tuple[Array, Array]], task: Task) -> float:
-    """The delay of a rate in s, which may be a fraction of a frame; 0 unless it is sure.
+    """The delay of a rate in s, possibly a fraction of a frame; 0 unless significant.
 
-    What is told of a change lacks, to first order, the rise of the rate in the same while times the delay.
+    To first order, the integrated rate differs from a change by the delay times the rise of the rate in the
+    interval.
     """
     moved, told = _delayed(changes, 0, 0)
     k, lacking = task.frames(SLOWEST), moved - told
@@ -90,12 +91,12 @@ def _delay(pieces: Sequence[Rollout], rate: int, changes: Sequence[tuple[Array, 
     if len(lacking) < LASTING / task.time_step or not (size := float(rises @ rises)):
         return 0.0
     delay = float(lacking @ rises) / size
-    left = lacking - delay * rises  # of whiles that overlap
+    left = lacking - delay * rises  # residuals of overlapping intervals
     return delay if delay > SURE * np.sqrt(2 * k * np.mean(left**2) / size) else 0.0
 
 
 def _changes(pieces: Sequence[Rollout], rate: int, position: int, task: Task) -> list[tuple[Array, Array]]:
-    """Of each piece, changes (m,) of a state over a while, and those that its rate tells, by trapezoids."""
+    """For each piece, changes (m,) of a state over intervals, and the rate's integrals, by trapezoids."""
     k, changes = task.frames(SLOWEST), []
     for x, v in ((piece.states[:, position], piece.states[:, rate]) for piece in pieces):
         total = task.time_step * (np.cumsum(v) - v / 2)
@@ -104,7 +105,7 @@ def _changes(pieces: Sequence[Rollout], rate: int, position: int, task: Task) ->
 
 
 def _delayed(changes: Sequence[tuple[Array, Array]], late: int, latest: int) -> tuple[Array, Array]:
-    """All changes, and those told some frames later; as many as there are at the latest delay."""
+    """All changes, and integrated rates some frames later, truncated to the number at the latest delay."""
     counts = [max(len(moved) - latest, 0) for moved, _ in changes]
     moved = [each[:count] for (each, _), count in zip(changes, counts, strict=True)]
     told = [each[late : late + count] for (_, each), count in zip(changes, counts, strict=True)]
@@ -112,11 +113,11 @@ def _delayed(changes: Sequence[tuple[Array, Array]], late: int, latest: int) -> 
 
 
 def _agreement(moved: Array, told: Array) -> float:
-    """The correlation, about zero, of two series (m,); 0 where one is zero."""
+    """The uncentred correlation of two series (m,); 0 if one is zero."""
     size = float(told @ told) * float(moved @ moved)
     return float(told @ moved) / np.sqrt(size) if size > 0 else 0.0
 
 
 def _is_clear(changes: Array, noise: float) -> bool:
-    """Whether changes (m,) are many times what noise of this deviation makes of them."""
+    """Whether changes (m,) are many times larger than noise of this deviation would cause."""
     return float(np.sqrt(np.mean(changes**2))) > CLEAR * noise

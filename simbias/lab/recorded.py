@@ -1,4 +1,4 @@
-"""Recorded experiments in place of the robot: what was measured before is handed back, no policy runs."""
+"""Recorded experiments instead of the robot: recordings are returned, and no policy runs."""
 
 from __future__ import annotations
 
@@ -24,24 +24,25 @@ ENDS = "recording_ends"
 
 @final
 class Recorded(Hardware):
-    """Experiment i of a trial is recording i, again from the first one after the last.
+    """Experiment i of a trial is recording i; after the last one, they start over.
 
-    An iteration that stops early skips the recordings of the experiments that it did not make.
+    An iteration that stops early skips the recordings of its remaining experiments.
 
     A recording is a CSV file with a line of names, also compressed (.csv.gz), a ROS bag or an MCAP file.
-    Between samples, states change linearly and inputs are held; a frame of the task has its first states and
-    the inputs' mean (`simbias.lab.recording`). One that is shorter than the horizon counts as failed in its
-    last frame.
+    Between samples, states change linearly and inputs are held; a frame of the task has the states at its
+    beginning and the mean inputs (`simbias.lab.recording`). A recording shorter than the horizon counts as
+    failed in its last frame.
 
     Parameters
     ----------
     folder
-        Where the recordings are.
+        The folder of the recordings.
     files
         Their names, in order; by default every CSV file of the folder, by name.
     columns
-        The name of the column of `time` (s), and of each state and input, by default its own, with its unit
-        behind it if that is not the task's (`q1 [deg]`); of a ROS bag or an MCAP file `/topic.field[0]`.
+        The names of the columns of `time` (s) and of each state and input, by default their own names,
+        followed by the unit if it differs from the task's (`q1 [deg]`); for a ROS bag or an MCAP file
+        `/topic.field[0]`.
     """
 
     sets_start = False
@@ -60,18 +61,18 @@ class Recorded(Hardware):
         self.reader = Reader(task, checked_columns(columns, names))
 
     def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
-        """The next recording, numbered by the generator, which was spawned from the trial's.
+        """The next recording; its number follows from the generator, spawned from the trial's.
 
         Raises
         ------
         ConfigError
             If there is none, it cannot be read, or it has a gap.
         """
-        place = place_of(rng)[:2]  # a random one's is one deeper
+        place = place_of(rng)[:2]  # a random experiment's place is one level deeper
         try:
             files = self.files
             return self.rollout(files[[0, *place][-1] % len(files)])
-        except HardwareError as error:  # bad input: no robot is at fault
+        except HardwareError as error:  # bad input, not the robot's fault
             raise ConfigError("", words(error)) from error
 
     @property
@@ -83,12 +84,12 @@ class Recorded(Hardware):
 
     @property
     def source_files(self) -> list[Path]:
-        """The recordings that are there, as files."""
+        """The existing files of the recordings."""
         return [path for name in sorted(self._named) if (path := self._folder / name).is_file()]
 
     @property
     def _named(self) -> list[str]:
-        """The files' names, or those of the folder's CSV files."""
+        """The given file names, or those of the folder's CSV files."""
         return self._files or sorted(path.name for path in self._folder.glob("*") if path.name.endswith(CSV))
 
     def rollout(self, file: str) -> Rollout:
@@ -97,7 +98,7 @@ class Recorded(Hardware):
         Raises
         ------
         HardwareError
-            If the file cannot be read, or has a gap, a reset or a jump.
+            If the file cannot be read, or contains a gap, a reset or a jump.
         """
         pieces, horizon = self.reader.read(self._folder / file).pieces, self._task.horizon
         if len(pieces) > 1:

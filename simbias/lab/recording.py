@@ -1,4 +1,4 @@
-"""A recording in a task's frames: units converted, gaps found, what lacks estimated, and all of it told."""
+"""A recording in a task's frames: units converted, gaps found, missing rates estimated, all reported."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from simbias.lab.rates import check_rates, jumps, late_rates, rates_of
 from simbias.lab.signals import Signal, Signals, signals, split_name
 from simbias.lab.units import factor
 
-MOST_TURNS = 1.5  # from one sample of a wrapped angle to the next
-GAP = 5.0  # usual intervals between samples: what is longer is a gap
-FEWEST_FRAMES = 2  # of a gap
-RAREST = 20.0  # frames from one sample to the next of what is measured most often: a time in other units,
-RAREST_OF_UNIT = 1000.0  # where its unit is named
-SMOOTH = 0.02  # s, over which a velocity is estimated from positions
-SHORT = 0.005  # s, of frames: in longer ones, a parabola of five frames misses how the acceleration changes
-AROUND = 3  # frames at most to each side of a longer one, whose velocity is that of a cubic,
-LONGEST = 0.06  # s, within so long
-COARSE = 0.012  # s: in longer frames, estimated velocities lack what changes fast
-SPARSE = 1.5  # frames from one sample of a state to the next, beyond which lines between miss the motion
-TWICE = 2.0  # how much inputs may exceed their limit
-SAME = 0.01  # of the samples: fewer that have the time of the one before are not told
-MOSTLY = 0.99  # of the frames: peaks of a sensor's noise exceed more
-TOLERANCE = 1.05  # times an input's limit, up to which nothing is said
-MOST_TOLD = 8  # jumps, and pieces, in a line
-NEAR = 0.01  # of a frame from its start: a sample that is nearer belongs to it
+MOST_TURNS = 1.5  # turns between two samples of a wrapped angle
+GAP = 5.0  # usual sampling intervals: a longer one is a gap
+FEWEST_FRAMES = 2  # minimum length of a gap
+RAREST = 20.0  # frames between samples of the most frequent signal: beyond, time has other units,
+RAREST_OF_UNIT = 1000.0  # if its unit is given
+SMOOTH = 0.02  # s, interval for estimating a velocity from positions
+SHORT = 0.005  # s, frame length: in longer frames, a parabola over five misses changes of acceleration
+AROUND = 3  # frames at most to each side of a longer frame, for the velocity of a cubic,
+LONGEST = 0.06  # s, at most
+COARSE = 0.012  # s: in longer frames, estimated velocities miss fast changes
+SPARSE = 1.5  # frames between samples of a state: beyond, linear interpolation misses the motion
+TWICE = 2.0  # factor by which inputs may exceed their limit
+SAME = 0.01  # of the samples: fewer with repeated times are not reported
+MOSTLY = 0.99  # of the frames: a quantile that excludes peaks of sensor noise
+TOLERANCE = 1.05  # times an input's limit: tolerated without a note
+MOST_TOLD = 8  # jumps, or pieces, reported in a line
+NEAR = 0.01  # of a frame: a sample closer to its start belongs to it
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +41,8 @@ class Recording:
 
     pieces: tuple[Rollout, ...]
     times: tuple[Array, ...]  # of each piece (k,): when the first state was measured, in s from its start
-    notes: tuple[str, ...]  # what was done to the data, and what they cannot tell
-    doubts: tuple[str, ...] = ()  # about each parameter that is identified from it
+    notes: tuple[str, ...]  # changes made to the data, and limits of their information
+    doubts: tuple[str, ...] = ()  # about parameters identified from the recording
 
 
 class Reader:
@@ -51,8 +51,8 @@ class Reader:
     Parameters
     ----------
     columns
-        Of `time`, each state and input: the name of its column, with its unit behind it if that is not the
-        task's (`q1 [deg]`).
+        For `time` and each state and input: the name of its column, followed by the unit if it differs from
+        the task's (`q1 [deg]`).
     """
 
     def __init__(self, task: Task, columns: Mapping[str, str]) -> None:
@@ -62,12 +62,12 @@ class Reader:
         self._rates = rates_of(task)
 
     def read(self, path: Path, whole_lines: bool = False) -> Recording:
-        """The recording of a file; a last line without an end counts if it has all cells, or not at all.
+        """Read a file; an unterminated last line counts if it has all cells, or never with `whole_lines`.
 
         Raises
         ------
         HardwareError
-            If it cannot be read or cannot be meant so, in one line that names the file.
+            If it cannot be read or makes no sense; the message names the file in one line.
         """
         file = signals(path, whole_lines)
         notes: list[str] = []
@@ -86,9 +86,9 @@ class Reader:
         return Recording(pieces, times, (*file.notes, *notes), tuple(doubts))
 
     def _signals(self, file: Signals, notes: list[str]) -> dict[int, Signal]:
-        """Signals by the place of states, then inputs, in the task's units and s; angles unwound.
+        """Signals by index of states, then inputs, in the task's units and s; angles are unwound.
 
-        A rate that no column holds is missing.
+        A rate without a column is missing from the result.
         """
         quantities = self._quantities
         time, time_unit = self._named(file, "time")
@@ -98,7 +98,7 @@ class Reader:
             if not file.has(name := self._named(file, quantity.name)[0]) and i not in self._rates
         ]
         if lacking:
-            file.signal(lacking[0], time)  # says what lacks
+            file.signal(lacking[0], time)  # raises: names what is missing
         found, same = {}, (0, 0)
         for i, quantity in enumerate(quantities):
             name, unit = self._named(file, quantity.name)
@@ -126,7 +126,7 @@ class Reader:
         return found
 
     def _unwound(self, column: str, angle: Quantity, signal: Signal, notes: list[str]) -> Array:
-        """The angle's values (k,) without jumps of a turn between gaps; larger ones are refused."""
+        """The angle's values (k,) without jumps by a turn between gaps; larger jumps are refused."""
         turn, times, values = TURNS[angle.unit], signal.times, signal.values
         steps, begins = np.diff(values), self._begins(signal)
         steps[begins - 1] = 0.0
@@ -141,12 +141,12 @@ class Reader:
         return unwound
 
     def _named(self, file: Signals, quantity: str) -> tuple[str, str]:
-        """The name of a quantity's column, and the unit behind it that is not of the file's own name."""
+        """The name of a quantity's column, and the unit given after it, if the file's own name has none."""
         column = self._columns[quantity]
         return (column, "") if file.has(column) else split_name(column)
 
     def _pieces(self, path: Path, found: Mapping[int, Signal], notes: list[str]) -> list[tuple[float, float]]:
-        """When pieces begin and end: where every signal goes on without a gap, a reset or a jump."""
+        """Start and end times of pieces, in which every signal continues without gap, reset or jump."""
         pieces, frame, longest = [(-np.inf, np.inf)], self._task.time_step, np.inf
         runs_of, jumps_of = dict[int, list[tuple[float, float]]](), self._jumps(found, notes)
         for i, signal in found.items():
@@ -170,7 +170,7 @@ class Reader:
         return pieces
 
     def _doubts(self, found: Mapping[int, Signal], notes: list[str]) -> Iterator[str]:
-        """Why parameters that are identified from these signals are not to be trusted; remedies are noted."""
+        """Reasons not to trust parameters identified from these signals; remedies go into `notes`."""
         frame = self._task.time_step
         if frame > COARSE and not self._rates.keys() <= found.keys():
             yield f"velocities are estimated in frames of {frame:g} s"
@@ -187,18 +187,18 @@ class Reader:
         begin: float,
         end: float,
     ) -> Iterator[str]:
-        """Notes on what is left out before `begin` and after `end`, where some signals have a run's end."""
+        """Notes on data left out before `begin` and after `end`, where runs of some signals end."""
         before = begin - min(signal.times[0] for signal in found.values())
         after = max(signal.times[-1] for signal in found.values()) - end
         for side, which, at, seconds in ((0, "first", begin, before), (1, "last", end, after)):
             lacking = [i for i, runs in runs_of.items() if any(run[side] == at for run in runs)]
-            # Where all have it, it is none of theirs alone.
+            # If all signals end there, none of them is the cause.
             if len(lacking) < len(found) and seconds > max(self._gap(found[i]) for i in lacking):
                 names = ", ".join(self._quantities[i].name for i in lacking)
                 yield f"the {which} {seconds:.3g} s lack {names}, and are left out"
 
     def _check_period(self, file: Signals, found: Mapping[int, Signal], has_unit: bool) -> None:
-        """Refuse times of which even the most frequent samples are far apart."""
+        """Refuse times in which even the most frequent samples are far apart."""
         usual, frame = min(map(_period, found.values())), self._task.time_step
         if usual > (RAREST_OF_UNIT if has_unit else RAREST) * frame:
             raise HardwareError(
@@ -207,7 +207,7 @@ class Reader:
             )
 
     def _jumps(self, found: Mapping[int, Signal], notes: list[str]) -> dict[int, Indices]:
-        """Samples of states that their rates do not lead to, between gaps; all are told."""
+        """Samples of states that their rates do not explain, between gaps; all are reported."""
         each = dict[int, Indices]()
         for rate, i in self._rates.items():
             if rate in found:
@@ -223,15 +223,15 @@ class Reader:
         return each
 
     def _begins(self, signal: Signal) -> Indices:
-        """The samples behind each gap."""
+        """The first sample after each gap."""
         return np.flatnonzero(np.diff(signal.times) > self._gap(signal)) + 1
 
     def _gap(self, signal: Signal) -> float:
-        """The time in s from which nothing of a signal is a gap."""
+        """The interval in s without samples that makes a gap in a signal."""
         return max(GAP * _period(signal), FEWEST_FRAMES * self._task.time_step)
 
     def _piece(self, found: Mapping[int, Signal], begin: float, end: float) -> tuple[Rollout, Array]:
-        """A piece in the task's frames, and when its first state was measured.
+        """A piece in the task's frames, and the times at which its first state was measured.
 
         States are linear between samples. Inputs are held from each sample to the next one.
         """
@@ -245,12 +245,12 @@ class Reader:
         states = np.array([columns[i] for i in range(n)]).T
         signals_of_inputs = [found[n + i] for i in range(len(task.inputs))]
         inputs = np.array([_held(each, begin, task.time_step, frames) for each in signals_of_inputs]).T
-        times = found[min(found)].times  # of the first state that a column holds
+        times = found[min(found)].times  # of the first state with a column
         inside = times[(times >= begin) & (times <= at[-1] + NEAR * task.time_step)] - begin
         return Rollout(states, inputs, measured=states, sensed=True), inside
 
     def _rate(self, values: Array) -> Array:
-        """The derivative (k,) of values (k,): of polynomials fitted to what is around each frame."""
+        """The derivative (k,) of values (k,), from polynomials fitted around each frame."""
         from scipy.signal import savgol_filter  # lazily: few recordings need it
 
         h = self._task.time_step
@@ -276,13 +276,13 @@ class Reader:
         return notes
 
     def _late(self, delays: Mapping[int, float]) -> Iterator[str]:
-        """Notes on rates that are late by so many s."""
+        """Notes on rates with these delays in s."""
         for i, delay in delays.items():
             rate, position = (self._quantities[j].name for j in (i, self._rates[i]))
             yield f"{rate} follows {position} by {1e3 * delay:.3g} ms; without its column, it is estimated"
 
     def _still(self, pieces: Sequence[Rollout]) -> Iterator[str]:
-        """Notes on quantities that never change, and what they cannot tell."""
+        """Notes on quantities that never change, and what they cannot identify."""
         each = zip(*((*piece.states.T, *piece.inputs.T) for piece in pieces), strict=True)
         for i, (quantity, values) in enumerate(zip(self._quantities, each, strict=True)):
             if np.ptp(np.concatenate(values)) == 0:
@@ -300,12 +300,12 @@ def _factor(file: Signals, name: str, unit: str, wanted: str) -> float:
 
 
 def _period(signal: Signal) -> float:
-    """The usual time in s from a sample to the next one."""
+    """The usual sampling interval in s."""
     return float(np.median(np.diff(signal.times)))
 
 
 def _runs(signal: Signal, begins: Indices, held: bool) -> list[tuple[float, float]]:
-    """When a signal's uninterrupted runs begin and end; what is held lasts until a next sample is due."""
+    """Start and end times of a signal's uninterrupted runs; held values last until the next sample is due."""
     firsts, lasts = [0, *begins], [*(begins - 1), len(signal.times) - 1]
     due = _period(signal) if held else 0.0
     bounds = zip(signal.times[firsts].tolist(), signal.times[lasts].tolist(), strict=True)
@@ -313,7 +313,7 @@ def _runs(signal: Signal, begins: Indices, held: bool) -> list[tuple[float, floa
 
 
 def _held(signal: Signal, begin: float, time_step: float, frames: int) -> Array:
-    """Means (frames,) over each frame from `begin` on, of what is held from each sample to the next one."""
+    """Means (frames,) over each frame from `begin` on, of a signal held between samples."""
     times = (signal.times - begin) / time_step
     times = np.where(np.abs(times - np.rint(times)) < NEAR, np.rint(times), times)
     bounds = np.arange(frames + 1)

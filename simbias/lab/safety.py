@@ -14,24 +14,24 @@ from simbias.core.ranges import Positive
 from simbias.core.records import Array, Indices, Rollout
 from simbias.core.robot import NOT_A_NUMBER
 
-ROUNDING = 1e-12  # relative, of a limit that a controller holds itself
-RECORDED_ROUNDING = 1e-6  # relative, of a limit in what was recorded with a few digits
+ROUNDING = 1e-12  # relative, for a limit that a controller enforces itself
+RECORDED_ROUNDING = 1e-6  # relative, for a limit in data recorded with few digits
 
 
 @dataclass(frozen=True)
 class Safety:
-    """Limits by the names of the task's quantities, or their kinds; the task's own limits hold besides.
+    """Limits by the names or kinds of the task's quantities, in addition to the task's own limits.
 
     Parameters
     ----------
     inputs
-        Largest size of an input.
+        Largest magnitude of an input.
     input_rates
-        Largest change of an input in a second, from one frame to the next.
+        Largest rate of change of an input per second, between frames.
     states
-        Largest size of a (measured) state.
+        Largest magnitude of a (measured) state.
     criteria
-        Whether a (measured) state that violates a failure criterion aborts too.
+        Whether a (measured) state that violates a failure criterion also aborts.
     """
 
     inputs: Mapping[str, Positive] | None = None
@@ -45,7 +45,7 @@ class Safety:
         return bool(self.inputs or self.input_rates or self.states or self.criteria)
 
     def bounds(self, task: Task) -> Bounds:
-        """The limits as arrays; of targets, whose kinds may be those of states, there is none.
+        """The limits as arrays; targets have none, even if they share a kind with states.
 
         Raises
         ------
@@ -71,7 +71,7 @@ NO_LIMITS = Safety()
 
 @dataclass(frozen=True, eq=False)
 class Bounds:
-    """Limits as arrays; inf where there is none."""
+    """Limits as arrays; inf: no limit."""
 
     input_bounds: tuple[Array, Array]  # lower, upper (m,)
     input_rates: Array  # (m,) per s
@@ -80,20 +80,20 @@ class Bounds:
 
     @property
     def inputs(self) -> Array:
-        """Largest size (m,) of each input."""
+        """Largest magnitude (m,) of each input."""
         return np.maximum(*np.abs(self.input_bounds))
 
 
 class UnsafeError(Exception):
-    """A limit is exceeded: the experiment ends here, with what was recorded so far."""
+    """A limit is exceeded: the experiment ends here, with the record so far."""
 
 
 class _Monitor:
-    """Names the limit that a state, or an input after the one before, exceeds; "" for none."""
+    """Names the limit exceeded by a state or by the next input; "" for none."""
 
     def __init__(self, task: Task, bounds: Bounds, time_step: float, rounding: float = ROUNDING) -> None:
         self._task = task
-        self._states = np.fmin(bounds.states, np.finfo(np.float64).max)  # inf is beyond all
+        self._states = np.fmin(bounds.states, np.finfo(np.float64).max)  # so that inf exceeds every limit
         self._criteria = bounds.criteria
         rounded = rounding * np.where(np.isfinite(bounds.inputs), bounds.inputs, 0.0)
         self._least, self._most = bounds.input_bounds[0] - rounded, bounds.input_bounds[1] + rounded
@@ -130,12 +130,12 @@ class _Monitor:
 
 
 def hold(rollout: Rollout, task: Task, bounds: Bounds, source: str) -> Rollout:
-    """A rollout up to the first state beyond its limits, as if the experiment had been aborted there.
+    """Cut a rollout at the first state beyond its limits, as if the experiment had been aborted there.
 
     Raises
     ------
     HardwareError
-        If an input was beyond its limits: nobody held them.
+        If an input was beyond its limits, so they were not enforced.
     """
     monitor = _Monitor(task, bounds, task.time_step, RECORDED_ROUNDING)
     seen = rollout.states if rollout.measured is None else rollout.measured
@@ -154,7 +154,7 @@ def hold(rollout: Rollout, task: Task, bounds: Bounds, source: str) -> Rollout:
 
 
 def exceeded(rollout: Rollout, task: Task, bounds: Bounds) -> str:
-    """The limits, without the failure criteria, that a rollout exceeds, and by which values; "" for none."""
+    """The limits, except failure criteria, exceeded by a rollout, and its values; "" for none."""
     rates = np.abs(np.diff(rollout.inputs, axis=0)) / task.time_step
     found = []
     for words, quantities, values, limits in (
@@ -171,7 +171,7 @@ def exceeded(rollout: Rollout, task: Task, bounds: Bounds) -> str:
 class SafetyLimitedPolicy(Policy):
     """A policy whose controller raises UnsafeError at a frame beyond the limits.
 
-    It holds them for hardware that runs its loop by `controller`, not for one that calls `act`.
+    It enforces the limits if hardware uses `controller`, but not if it calls `act`.
     """
 
     def __init__(self, policy: Policy, task: Task, safety_bounds: Bounds) -> None:
@@ -200,8 +200,8 @@ class SafetyLimitedPolicy(Policy):
         return self.policy.law(theta)
 
     def __getattr__(self, name: str) -> Any:
-        """Attributes of the policy's own class."""
-        if name.startswith("__") or "policy" not in vars(self):  # while it is copied
+        """Attributes of the underlying policy."""
+        if name.startswith("__") or "policy" not in vars(self):  # during copying
             raise AttributeError(name)
         return getattr(self.policy, name)
 
@@ -218,12 +218,12 @@ class SafetyLimitedPolicy(Policy):
 
 
 def without_limits(policy: Policy) -> Policy:
-    """The policy itself, without the limits that it is held within."""
+    """The underlying policy, without safety limits."""
     return policy.policy if isinstance(policy, SafetyLimitedPolicy) else policy
 
 
 class _SafetyLimitedController(Controller):
-    """A controller that raises before it gives an input beyond the limits, and at each call afterwards."""
+    """A controller that raises instead of returning an input beyond the limits, and at every later call."""
 
     def __init__(self, controller: Controller, task: Task, bounds: Bounds, time_step: float) -> None:
         self._controller = controller
@@ -239,7 +239,8 @@ class _SafetyLimitedController(Controller):
         Raises
         ------
         UnsafeError
-            If state or input is beyond its limits, the policy's own state is not finite, or one was before.
+            If state or input exceeds its limits, the policy's own state is not finite, or any of this
+            occurred before.
         """
         if not self.failure:
             x = np.array(x, dtype=np.float64)
@@ -256,7 +257,7 @@ class _SafetyLimitedController(Controller):
         raise UnsafeError(self.failure)
 
     def record(self) -> Rollout:
-        """The measured states and the inputs up to the frame that was unsafe."""
+        """The measured states and the inputs up to the unsafe frame."""
         k = len(self._inputs)
         states = np.array(self._states)[: k + 1]
         inputs = np.array(self._inputs).reshape(k, self._m)

@@ -1,4 +1,4 @@
-"""Signals in a lab's files: columns of a CSV, fields of a ROS bag's or an MCAP file's messages."""
+"""Signals in a lab's files: columns of a CSV, or message fields of a ROS bag or an MCAP file."""
 
 from __future__ import annotations
 
@@ -23,35 +23,35 @@ FIELD = re.compile(
     r"(?P<topic>/[\w/]*)\.(?P<fields>[\w.]+?)(?:\[(?P<item>\w+)\])?$"
 )  # /joints.position[elbow]
 BAGS = (".mcap", ".db3", ".bag")
-NO_SAMPLE = ("", "nan", "na")  # a cell
+NO_SAMPLE = ("", "nan", "na")  # cells without a sample
 NANOSECOND = 1e-9
-UNEQUAL = 0.02  # s from header to arrival, more in one topic than in another: they may be misaligned
-RESET = 1e4  # usual intervals between samples that a reset of the clock counts as
+UNEQUAL = 0.02  # s, difference between topics in time from header to arrival: they may be misaligned
+RESET = 1e4  # usual sampling intervals: the gap left by a reset of the clock
 
 
 class Signal(NamedTuple):
     """The samples of one quantity in a file."""
 
-    times: Array  # (k,) s, or in the unit of the file's own time
+    times: Array  # (k,) s, or in the unit of the file's time
     values: Array  # (k,)
 
 
 class Signals(ABC):
     """The signals of a file, by name."""
 
-    notes: tuple[str, ...] = ()  # what was left out of it, and doubts about times of what was read
+    notes: tuple[str, ...] = ()  # omissions, and doubts about times of signals that were read
 
     def __init__(self, path: Path) -> None:
         self.path = path
 
     @abstractmethod
     def signal(self, name: str, time: str) -> Signal:
-        """A signal, its times from the column `time` where the file has columns.
+        """A signal; in files with columns, its times come from the column `time`.
 
         Raises
         ------
         HardwareError
-            If there is none of that name; the message names the nearest.
+            If there is no signal of that name; the message suggests the nearest.
         """
 
     @abstractmethod
@@ -59,7 +59,7 @@ class Signals(ABC):
         """Whether the file has a signal of that name."""
 
     def unit(self, name: str) -> str:
-        """The unit that the file states of a signal or of its time; "" if it does not."""
+        """The unit that the file states for a signal or for time; "" if none."""
         return ""
 
     def missing(self, names: list[str], known: list[str], where: str = "") -> HardwareError:
@@ -70,15 +70,15 @@ class Signals(ABC):
 
 
 class Columns(Signals):
-    """The signals of a CSV file; a blank cell, nan or NA is no sample, as where columns have rates apart."""
+    """The signals of a CSV file; blank cells, nan or NA are no samples, as with different sampling rates."""
 
     def __init__(self, path: Path, whole_lines: bool = False) -> None:
         super().__init__(path)
         self._table = read_table(path, may_be_cut=True, whole_lines=whole_lines)
         if self._table.cut is not None:
             self.notes = (f"row {self._table.cut}, the last one, may be cut off and is left out",)
-        self._clocks: dict[int, Array] = {}  # by column
-        self._known: dict[str, list[tuple[int, str]]] = {}  # several of a name are refused once it is asked
+        self._clocks: dict[int, Array] = {}  # times by column
+        self._known: dict[str, list[tuple[int, str]]] = {}  # duplicates are refused once their name is used
         names = self._table.names
         for index, name in enumerate(names):
             base, unit = match.groups() if (match := NAME.match(name)) else (name, "")
@@ -86,11 +86,11 @@ class Columns(Signals):
                 self._known.setdefault(key, []).append((index, unit))
 
     def has(self, name: str) -> bool:
-        """Whether the file has a column of that name, or with a unit behind it."""
+        """Whether the file has a column of that name, possibly followed by a unit."""
         return name in self._known
 
     def unit(self, name: str) -> str:
-        """The unit in brackets behind a column's name; "" if there is none."""
+        """The unit in brackets after a column's name; "" if there is none."""
         return self._known[name][0][1] if name in self._known else ""
 
     def signal(self, name: str, time: str) -> Signal:
@@ -111,12 +111,12 @@ class Columns(Signals):
         return Signal(instants[kept], table.numbers([column])[:, 0])
 
     def _instants(self, clock: int) -> Array:
-        """Times (r,) that do not decrease: where they do, the file's clock was reset, which leaves a gap."""
+        """Non-decreasing times (r,): a decrease in the file is a reset of its clock, and becomes a gap."""
         if clock in self._clocks:
             return self._clocks[clock]
         times = self._table.numbers([clock])[:, 0]
         steps = np.diff(times)
-        if 2 * (back := np.flatnonzero(steps < 0)).size > (steps > 0).sum():  # far too many for resets
+        if 2 * (back := np.flatnonzero(steps < 0)).size > (steps > 0).sum():  # too many for resets
             before, after = times[back[0] : back[0] + 2]
             problem = f"expected times that increase, got {after:.9g} after {before:.9g}"
             raise self._table.error(int(back[0]) + 1, clock, problem)
@@ -127,16 +127,16 @@ class Columns(Signals):
 
 
 class Messages(Signals):
-    """Signals of a ROS bag or MCAP file: `/topic.field`, of a list `/topic.field[0]`, or [name] by `name`.
+    """Signals of a ROS bag or MCAP file: `/topic.field`, `/topic.field[0]` in a list, or [name] by `name`.
 
-    Times are those of the messages' headers, or of their arrival where they have none; in s.
+    Times in s are those of the messages' headers or, without headers, of their arrival.
     """
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self._topics: dict[str, tuple[Array, list[Any]]] = {}
-        self._late: dict[str, list[float]] = {}  # of each topic, from the messages' headers to arrival, in s
-        self._used: dict[str, float | None] = {}  # topics that were read: the median of these, if any
+        self._late: dict[str, list[float]] = {}  # by topic: times from messages' headers to arrival, in s
+        self._used: dict[str, float | None] = {}  # by topic read: the median of these times, if any
         highlevel = library("rosbags.highlevel", "rosbags", "bags")
         typesys = library("rosbags.typesys", "rosbags", "bags")
         store = typesys.get_typestore(typesys.Stores.LATEST)
@@ -149,23 +149,23 @@ class Messages(Signals):
                         self._late.setdefault(connection.topic, []).append(arrived - stamp)
                     time = arrived if stamp is None else stamp
                     read.setdefault(connection.topic, []).append((time, message))
-        except Exception as error:  # of the reader, of many types
+        except Exception as error:  # the reader raises many types
             raise HardwareError(f"{path}: cannot be read ({words(error)})") from error
         for topic, pairs in read.items():
             pairs.sort(key=lambda pair: pair[0])
             self._topics[topic] = np.array([time for time, _ in pairs]), [message for _, message in pairs]
 
     def unit(self, name: str) -> str:
-        """That of the time; a field has none."""
+        """The unit of time; a field has none."""
         return "" if FIELD.match(name) else "s"
 
     def has(self, name: str) -> bool:
-        """Whether the file has the topic of a signal's name."""
+        """Whether the file has the topic in a signal's name."""
         match = FIELD.match(name)
         return match is not None and match["topic"] in self._topics
 
     def signal(self, name: str, time: str) -> Signal:
-        """A field of each message of a topic."""
+        """The field of each message of a topic."""
         match = FIELD.match(name)
         if match is None:
             raise HardwareError(f"{self.path}: {name}: must be /topic.field, as /joint_states.position[0]")
@@ -185,7 +185,7 @@ class Messages(Signals):
 
 
 def signals(path: Path, whole_lines: bool = False) -> Signals:
-    """The signals of a file, of its `whole_lines` alone, or of a folder that is a ROS 2 bag.
+    """The signals of a file, optionally only of its `whole_lines`, or of a folder that is a ROS 2 bag.
 
     Raises
     ------
@@ -201,7 +201,7 @@ def signals(path: Path, whole_lines: bool = False) -> Signals:
 
 
 def _misaligned(late: Mapping[str, float | None]) -> tuple[str, ...]:
-    """A note if topics arrive unequally long after their headers' times, in s, or after none."""
+    """A note if topics differ in the time from header to arrival, in s, or some have no headers."""
     if np.ptp([each or 0.0 for each in late.values()]) <= UNEQUAL:
         return ()
     told = [
@@ -220,7 +220,7 @@ def _stamp(message: Any) -> float | None:
 
 
 def _field(message: Any, match: re.Match[str]) -> float:
-    """The number in a message; an item of a list by its place, or by its name in the message's `name`."""
+    """The number in a message; an item of a list by its index, or by its name in the message's `name`."""
     value = message
     for field in match["fields"].split("."):
         value = getattr(value, field)
@@ -231,18 +231,18 @@ def _field(message: Any, match: re.Match[str]) -> float:
 
 
 def split_name(text: str) -> tuple[str, str]:
-    """A name and the unit that stands behind it after a space, `q1 [deg]`; "" if none does."""
+    """A name and the unit after it, separated by a space, as in `q1 [deg]`; "" if there is none."""
     match = re.match(r"(.*\S)\s+\[([^\]]+)\]$", text)
     return (match[1], match[2]) if match else (text, "")
 
 
 def checked_columns(columns: Mapping[str, str] | None, names: list[str]) -> dict[str, str]:
-    """The column of each name, its own by default.
+    """The column for each name, by default of the same name.
 
     Raises
     ------
     ValueError
-        If columns name something else, or one column twice.
+        If `columns` has unknown names, or one column twice.
     """
     unknown = sorted(set(columns or {}) - set(names))
     if unknown:

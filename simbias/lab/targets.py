@@ -1,4 +1,4 @@
-"""Targets of an experiment: its policy knows them, and they stand in its record; its hardware has none."""
+"""Targets of an experiment: known to the policy, kept in the record, absent from the hardware."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from simbias.core.records import Array, Rollout
 
 @final
 class WithTargets(Policy):
-    """A policy of a task with targets as that of an episode, whose targets (k,) it knows."""
+    """The policy of a task with targets, for an episode whose targets (k,) it knows."""
 
     def __init__(self, policy: Policy, targets: Array, quantities: Sequence[Quantity]) -> None:
         self.policy, self.targets = policy, targets
@@ -35,7 +35,7 @@ class WithTargets(Policy):
 
 
 def beside(rollout: Rollout, targets: Array) -> Rollout:
-    """A robot's rollout with its targets (k,) in each frame of its states, and of what was measured."""
+    """A robot's rollout with targets (k,) appended to its states and measurements in each frame."""
     if not len(targets):
         return rollout
 

@@ -7,7 +7,7 @@ from math import pi
 
 from simbias.core.quantities import TURNS
 
-# Of each unit: what it measures, and how many of the first unit of that it is.
+# For each unit: the quantity it measures, and its factor to that quantity's first unit.
 _ANGLE = {unit: 2 * pi / turn for unit, turn in TURNS.items()}
 _LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
 _TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
@@ -39,7 +39,7 @@ def factor(unit: str, wanted: str) -> float:
 
 
 def _plain(unit: str) -> str:
-    """A unit as it is listed: Nm, N*m and N.m are N m, degrees are deg, sec is s."""
+    """The listed form of a unit: Nm, N*m and N.m are N m, degrees are deg, sec is s."""
     text = re.sub(r"[·*.]", " ", unit.strip())
     text = re.sub(r"degrees?", "deg", re.sub(r"sec(onds?)?$", "s", text))
     return next((listed for listed in _TORQUE if listed.replace(" ", "") == text), text)

@@ -1,1 +1,1 @@
-"""Experiments that a person or a program makes, requested in files."""
+"""Experiments run by a person or a program, on request."""

@@ -1,6 +1,6 @@
 """A policy's law as a C header and as a Python module, for control loops without simbias.
 
-Both are written of the trace of `Policy.act`, and keep the policy state and the time themselves.
+Both are generated from the trace of `Policy.act`, and keep track of policy state and time.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from simbias.core.robot import NOT_A_NUMBER
 from simbias.lab.safety import Bounds
 from simbias.simulation.compiler import NUMPY, C, Formulas
 
-BEYOND = "failed"  # the failure beyond a criterion, where no input is a number (`act_within_criteria`)
-HARMLESS = " .,:;+-*/^%()[]<>=|_'°"  # besides letters and digits, in the comments of generated code
+BEYOND = "failed"  # the failure beyond a criterion, where inputs are nan (`act_within_criteria`)
+HARMLESS = " .,:;+-*/^%()[]<>=|_'°"  # characters besides letters and digits in comments of generated code
 
 HEADER = """\
 /* {title}
@@ -143,7 +143,7 @@ class Controller:
 
 
 def c_header(task: Task, law: Formulas, title: str, bounds: Bounds) -> str:
-    """The law in C99."""
+    """The law as a C99 header."""
     lines, u, policy_state = law.written(C)
     lines += [f"u[{i}] = {value};" for i, value in enumerate(u)]
     lines += [f"next[{i}] = {value};" for i, value in enumerate(policy_state)]
@@ -172,7 +172,7 @@ def c_header(task: Task, law: Formulas, title: str, bounds: Bounds) -> str:
 
 
 def python_module(task: Task, law: Formulas, title: str, bounds: Bounds) -> str:
-    """The law in Python, with NumPy."""
+    """The law as a Python module with NumPy."""
     lines, u, policy_state = law.written(NUMPY)
     constants = [f"{name} = {values.tolist()!r}\n" for name, values in _limits(task, bounds).items()]
     for name, names in _failures(task).items():
@@ -191,13 +191,13 @@ def python_module(task: Task, law: Formulas, title: str, bounds: Bounds) -> str:
 
 
 def harmless(words: str) -> str:
-    """Words of a config that neither end a comment nor a string of generated code, nor begin another line."""
+    """Text from a config, made unable to end a comment, string or line in generated code."""
     kept = "".join(each if each.isalnum() or each in HARMLESS else " " for each in words)
     return kept.replace("*/", "* /").replace("/*", "/ *")
 
 
 def _limits(task: Task, bounds: Bounds) -> dict[str, Array]:
-    """Named limits; where there is none, it is that of a finite number."""
+    """Limits by name; a missing limit becomes the largest finite number."""
     largest = np.finfo(np.float64).max
     lower, upper = bounds.input_bounds
     return {
@@ -209,7 +209,7 @@ def _limits(task: Task, bounds: Bounds) -> dict[str, Array]:
 
 
 def _failures(task: Task) -> dict[str, list[str]]:
-    """Names of the limits, as experiments that simbias aborts have them, but for harmful letters."""
+    """Names of the limits, as in experiments aborted by simbias, without harmful characters."""
     return {
         "STATE_FAILURE": [f"unsafe_state_{state.name}" for state in task.states],
         "INPUT_FAILURE": [f"unsafe_input_{each.name}" for each in task.inputs],
@@ -218,12 +218,12 @@ def _failures(task: Task) -> dict[str, list[str]]:
 
 
 def _quoted(name: str) -> str:
-    """A name as a string of generated code."""
+    """A name as a string literal in generated code."""
     return f'"{harmless(name)}"'
 
 
 def _words(task: Task, title: str) -> dict[str, object]:
-    """Values of the template that both languages share."""
+    """Template values shared by both languages."""
     return {
         "title": harmless(title),
         "time_step": float(task.time_step),

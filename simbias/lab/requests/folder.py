@@ -1,4 +1,4 @@
-"""The folder of a request: what a person in a lab needs, in files."""
+"""The folder of a request, with the files that a person in a lab needs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from simbias.lab.requests.request import HEADER, MODULE, ExperimentRequest, refu
 from simbias.lab.requests.trajectory import template
 
 TRAJECTORY = "trajectory.csv"  # the answer to a request
-WITHDRAWN = "withdrawn.txt"  # a mark: no trial takes the answer beside it any more
+WITHDRAWN = "withdrawn.txt"  # marks that no trial accepts the answer beside it any more
 POLICY, TEMPLATE, README = "policy.json", "template.csv", "README.txt"
 GONE = "simbias: %s is not there, so it is not marked as withdrawn"
 
@@ -53,7 +53,7 @@ NO_CODE = (
 
 
 def write_request(request: ExperimentRequest, folder: Path) -> Path:
-    """A request's own folder in the folder of all, written unless one is there without a withdrawn answer.
+    """Write a request's folder among all requests, unless it exists without a withdrawn answer.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def write_request(request: ExperimentRequest, folder: Path) -> Path:
             return known
     number = sum(1 for each in folder.glob("*_*") if each.is_dir())
     own = folder / f"{number:03d}_{request.name}"
-    part = folder / f".{own.name}.part"  # nobody takes half a request for a whole one
+    part = folder / f".{own.name}.part"  # so that nobody reads an incomplete request
     part.mkdir(parents=True, exist_ok=True)
     for name, text in files(request).items():
         (part / name).write_text(text, encoding="utf-8")
@@ -74,7 +74,7 @@ def write_request(request: ExperimentRequest, folder: Path) -> Path:
 
 
 def write_controller(request: ExperimentRequest, folder: Path, title: str) -> list[str]:
-    """A request's controller in C and in Python, with its gains, units and limits; the names of the files.
+    """Write a request's controller in C and Python, with gains, units and limits; return the file names.
 
     Raises
     ------
@@ -94,7 +94,7 @@ def write_controller(request: ExperimentRequest, folder: Path, title: str) -> li
 
 
 def mark_withdrawn(trajectory: Path, words: str) -> None:
-    """Mark an answer as withdrawn, so that no trial takes it again; a line if it is no longer there."""
+    """Mark an answer as withdrawn, so that no trial accepts it again; warn if it no longer exists."""
     if trajectory.exists():
         (trajectory.parent / WITHDRAWN).write_text(f"{words}\n", encoding="utf-8")
     else:
@@ -102,7 +102,7 @@ def mark_withdrawn(trajectory: Path, words: str) -> None:
 
 
 def refuse_copied_file(trajectory: Path) -> None:
-    """Refuse the same file as the trajectory of another request; errors as of `refuse_copy`."""
+    """Refuse a copy of the trajectory of another request; errors as for `refuse_copy`."""
     own = trajectory.read_bytes()
     for other in sorted(trajectory.parent.parent.glob(f"*_*/{TRAJECTORY}")):
         if other.read_bytes() == own:
@@ -110,7 +110,7 @@ def refuse_copied_file(trajectory: Path) -> None:
 
 
 def _asked(trajectory: Path) -> dict[str, Any]:
-    """The content of its request, less what tells this from another of the same content."""
+    """The content of a trajectory's request, without its token."""
     return {**json.loads(trajectory.with_name(POLICY).read_text(encoding="utf-8")), "request": ""}
 
 
@@ -166,7 +166,7 @@ def _readme(request: ExperimentRequest) -> str:
 
 
 def _within(tolerance: float) -> str:
-    """A start's tolerance in words."""
+    """The tolerance of a start in words."""
     return f" (further than {tolerance:g} from it is refused)" if np.isfinite(tolerance) else ""
 
 

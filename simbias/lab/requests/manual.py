@@ -1,4 +1,4 @@
-"""A person with a robot: requests in a folder, answered by CSV files that are put beside them."""
+"""A person with a robot: requests in folders, answered by CSV files placed in them."""
 
 from __future__ import annotations
 
@@ -19,31 +19,31 @@ from simbias.lab.requests.trajectory import read
 
 @final
 class Manual(Hardware):
-    """Writes a request for each experiment, and waits for its `trajectory.csv`, for days if need be.
+    """Writes a request for each experiment, and waits for its `trajectory.csv`, for days if necessary.
 
     Parameters
     ----------
     requests
-        The folder of the requests, one folder for each.
+        The folder that contains one folder per request.
     """
 
-    sets_start = False  # a person comes near to it
+    sets_start = False  # a person only comes close to it
 
     def __init__(self, task: Task, requests: str = "requests") -> None:
         self._task = task
         self._requests = Path(requests)
 
     def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
-        """The trajectory that answers the request.
+        """Write the request, or read the trajectory that answers it.
 
         Raises
         ------
         ConfigError
-            If something is wrong with it, in one line with file, row and column.
+            If the trajectory is wrong; the message gives file, row and column in one line.
         HardwareError
             If the request cannot be written.
         Waiting
-            If it is not there yet.
+            If the trajectory is not there yet.
         """
         request = ExperimentRequest(self._task, policy, theta, start, int(rng.integers(2**62)))
         try:
@@ -58,5 +58,5 @@ class Manual(Hardware):
         try:
             refuse_copied_file(file)
             return replace(read(file, request), source=str(file.resolve()))
-        except HardwareError as error:  # bad input: no robot is at fault
+        except HardwareError as error:  # bad input, not the robot's fault
             raise ConfigError(str(file), words(error).removeprefix(f"{file}: ")) from error

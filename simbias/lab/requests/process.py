@@ -1,4 +1,4 @@
-"""A program in any language: JSON on its standard input asks for an experiment, on its output answers it."""
+"""A program in any language: it reads a request as JSON on standard input, and prints the answer as JSON."""
 
 from __future__ import annotations
 
@@ -27,30 +27,30 @@ FIELDS = ("states", "inputs", "times", "failure")
 class Process(Hardware):
     """Starts a program for each experiment: the bridge to ROS 2, or to a lab's own software.
 
-    It gets a request (`simbias.lab.requests.request`) and answers with one JSON object:
+    The program gets a request (`simbias.lab.requests.request`) and answers with one JSON object:
 
         {"states": [[...], ...], "inputs": [[...], ...], "times": [...], "failure": null}
 
-    States are rows of what was measured, inputs what was commanded from each row on, or one row fewer.
-    Without times in s, a row is a frame. A failure that no criterion of the task recognises has a name; rows
-    after one that a criterion recognises are cut off. Or it answers {"waiting": "what to do meanwhile"}: the
-    next run of simbias makes the same request. Its standard error is passed on.
+    States are rows of measurements. Inputs are the commands from each row on, with as many rows or one fewer.
+    Without times in s, a row is a frame. A failure not detected by the task's criteria has a name; rows after
+    a failure by a criterion are cut off. Alternatively, it answers {"waiting": "what to do meanwhile"}: the
+    next run of simbias then makes the same request. Its standard error is passed on.
 
-    When simbias ends or is killed, is interrupted or loses patience, the program gets SIGTERM, and SIGKILL a
-    second later (`simbias.lab.requests.supervisor`).
+    When simbias ends, is killed or interrupted, or the timeout expires, the program gets SIGTERM, and SIGKILL
+    a second later (`simbias.lab.requests.supervisor`).
 
     Parameters
     ----------
     command
-        The program and its arguments, as a shell splits them; no shell runs.
+        The program and its arguments, split as in a shell, but without running a shell.
     timeout
-        Seconds beyond an experiment's own duration, after which the program is ended.
+        Seconds in addition to an experiment's own duration, after which the program is terminated.
     exclusive
-        Whether an experiment waits, as long at most, until no other run of the same command is left on this
+        Whether an experiment waits, at most as long, until no other process runs the same command on this
         machine. A simulator may run several times at once; a robot may not.
     """
 
-    sets_start = False  # as far as anybody knows
+    sets_start = False  # not known to set it
     not_hashed = ("timeout", "exclusive")
 
     def __init__(self, task: Task, command: str, timeout: Seconds = 60.0, exclusive: bool = True) -> None:
@@ -63,14 +63,14 @@ class Process(Hardware):
             raise ValueError("command is empty")
 
     def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
-        """The trajectory that the program answers with.
+        """The trajectory in the program's answer.
 
         Raises
         ------
         HardwareError
-            If it cannot be started, fails, takes too long, or does not answer with a trajectory.
+            If the program cannot be started, fails, takes too long, or does not answer with a trajectory.
         Waiting
-            If it says so.
+            If the program answers so.
         """
         request = ExperimentRequest(self._task, policy, theta, start, int(rng.integers(2**62)))
         self._program = None
@@ -82,12 +82,12 @@ class Process(Hardware):
             raise HardwareError(problem, said or None) from error
 
     def stop(self) -> None:
-        """End the program."""
+        """Terminate the program."""
         if self._program is not None:
             self._program.end()
 
     def _answer(self, text: str) -> Any:
-        """The JSON that the program prints."""
+        """Run the program; return the JSON that it prints."""
         held = alone(self._command, self._timeout + END_SECONDS) if self._exclusive else nullcontext()
         with held as lock:
             self._program = program = Program(self._command, text, [lock.fileno()] if lock else [])
@@ -95,7 +95,7 @@ class Process(Hardware):
                 if lock:
                     note(lock, program.pid)
                 status = program.wait(self._timeout)
-            finally:  # also where this is interrupted
+            finally:  # also if this is interrupted
                 program.end()
         out, said = program.out, program.err.text
         if out.too_long or program.err.too_long:
@@ -155,5 +155,5 @@ def _rows(given: Any, name: str, columns: int) -> Array:
 
 
 def _is_finite(value: Any) -> bool:
-    """Whether a value of an answer is a number, and no larger than floats are."""
+    """Whether a value of an answer is a number that fits a float."""
     return type(value) in (int, float) and abs(value) <= sys.float_info.max

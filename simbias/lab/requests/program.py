@@ -1,4 +1,4 @@
-"""Programs that drive a robot: they end with this process, one at a time, and their output is bounded."""
+"""Programs that drive a robot: they end with this process, run one at a time, and have bounded output."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from simbias.core import HardwareError
 from simbias.lab.requests import supervisor
 
 MOST_OUTPUT = 2**26  # bytes of standard output, and of standard error
-END_SECONDS = supervisor.GRACE + 0.5  # that a supervisor needs to end its program
-LOCKS = "/tmp"  # whatever TMPDIR says, which a job, a service or a user may have of its own
-POLL_SECONDS = 0.05  # between two looks at a lock
+END_SECONDS = supervisor.GRACE + 0.5  # for a supervisor to end its program
+LOCKS = "/tmp"  # regardless of TMPDIR, which may differ between jobs, services and users
+POLL_SECONDS = 0.05  # between two attempts to lock
 
 
 class Program:
-    """One run of a program, below a supervisor that ends it when this process is gone."""
+    """One run of a program, under a supervisor that ends it when this process is gone."""
 
     def __init__(self, command: Sequence[str], text: str, keep: Sequence[int] = ()) -> None:
         self._supervisor = subprocess.Popen(
@@ -41,15 +41,15 @@ class Program:
         assert pipe is not None
         assert out is not None
         assert err is not None
-        self._pipe = pipe  # as long as it is open, the program may run
+        self._pipe = pipe  # the program may run as long as it is open
         self.out, self.err = _Output(out, self._close), _Output(err, self._close)
         line = json.dumps({"command": list(command), "text": text, "keep": list(keep)})
-        with suppress(OSError):  # it has ended: its exit status tells
+        with suppress(OSError):  # it has ended; see its exit status
             self._pipe.write(f"{line}\n".encode())
             self._pipe.flush()
 
     def wait(self, seconds: float) -> int | None:
-        """The exit status once it has closed its output and ended; None if it has not within `seconds`."""
+        """The exit status once the program has closed its output and ended; None if not within `seconds`."""
         until = time.monotonic() + seconds
         for output in (self.out, self.err):
             output.join(max(0.0, until - time.monotonic()))
@@ -59,7 +59,7 @@ class Program:
             return None
 
     def end(self) -> None:
-        """End it if it still runs, on POSIX with the processes that it started."""
+        """End the program if it is still running; on POSIX, with the processes that it started."""
         self._close()
         try:
             self._supervisor.wait(END_SECONDS)
@@ -67,13 +67,13 @@ class Program:
             self._supervisor.kill()
 
     def _close(self) -> None:
-        """Have the supervisor end the program."""
+        """Make the supervisor end the program."""
         with suppress(OSError, ValueError):
             self._pipe.close()
 
 
 class _Output(threading.Thread):
-    """The output of a program, which is ended when it prints more than MOST_OUTPUT."""
+    """Reads the output of a program, which is ended if it prints more than MOST_OUTPUT."""
 
     def __init__(self, stream: IO[bytes], end: Callable[[], None]) -> None:
         super().__init__(daemon=True)
@@ -83,7 +83,7 @@ class _Output(threading.Thread):
         self.start()
 
     def run(self) -> None:
-        """Read to the end; what is too long is read, too, so that nothing waits for a full pipe."""
+        """Read to the end, even beyond the maximum, so that nothing blocks on a full pipe."""
         size = 0
         with suppress(OSError, ValueError), self._stream:
             while chunk := os.read(self._stream.fileno(), 65536):
@@ -102,7 +102,7 @@ class _Output(threading.Thread):
 
 @contextmanager
 def alone(command: Sequence[str], seconds: float) -> Iterator[IO[str] | None]:
-    """A file that one run of a command holds, until all that inherited it have ended; None on Windows.
+    """A file locked by one run of a command until all that inherited it have ended; None on Windows.
 
     Raises
     ------
@@ -136,17 +136,17 @@ def alone(command: Sequence[str], seconds: float) -> Iterator[IO[str] | None]:
 
 
 def _shared_file(path: Path) -> IO[str]:
-    """A file that every user of this machine may open, in whatever environment."""
+    """A file that every user of this machine may open, in any environment."""
     try:
         handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
-        os.fchmod(handle, 0o666)  # whatever the umask
+        os.fchmod(handle, 0o666)  # regardless of the umask
     except FileExistsError:
         handle = os.open(path, os.O_RDWR | os.O_NOFOLLOW)
     return os.fdopen(handle, "r+")
 
 
 def note(file: IO[str], pid: int) -> None:
-    """Write into a held file which process to end."""
+    """Note in a locked file which process to end."""
     file.seek(0)
     file.truncate()
     file.write(f"{pid}\n")

@@ -1,4 +1,4 @@
-"""An experiment to be made by a person or a program: the policy, the start, the limits."""
+"""A request for an experiment by a person or a program: the policy, the start, the limits."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from simbias.lab.safety import NO_LIMITS, Bounds, SafetyLimitedPolicy, without_l
 from simbias.lab.targets import WithTargets
 from simbias.simulation.compiler import NUMPY, Formulas, formulas_of
 
-FORMAT = 1  # of a request: raised when what is in it changes its meaning
+FORMAT = 1  # of a request: incremented when the meaning of its content changes
 HEADER, MODULE = "controller.h", "controller.py"
 
 
 @dataclass(frozen=True, eq=False)
 class ExperimentRequest:
-    """Run theta (p,) of a policy from a start (n,), for the task's horizon or until it fails."""
+    """A request to run theta (p,) of a policy from a start (n,), for the task's horizon or until failure."""
 
     task: Task
     policy: Policy
     theta: Array  # (p,)
     start: Array  # (n,)
-    token: int = 0  # distinguishes requests that are the same in all else
+    token: int = 0  # distinguishes otherwise identical requests
 
     @cached_property
     def name(self) -> str:
-        """A hash of everything that the request says, and of its controller's formulas."""
+        """A hash of the request's content and of its controller's formulas."""
         formulas = None if isinstance(self.formulas, str) else self.formulas.written(NUMPY)
         said = [self.content(), formulas, self.token]
         return short_digest(json.dumps(said, sort_keys=True).encode())
@@ -54,19 +54,19 @@ class ExperimentRequest:
 
     @property
     def targets(self) -> list[str]:
-        """The targets of the experiment, which its policy knows, in words."""
+        """The targets of the experiment, which only the policy knows, in words."""
         policy = without_limits(self.policy)
         return policy.told if isinstance(policy, WithTargets) else []
 
     @cached_property
     def formulas(self) -> Formulas | str:
-        """The controller's formulas, or why it has none."""
+        """The controller's formulas, or the reason why there are none."""
         aborting = self.bounds.criteria and isinstance(self.policy, SafetyLimitedPolicy)
         return formulas_of(self.policy, self.task, self.theta, "act_within_criteria" if aborting else "act")
 
     @cached_property
     def why_no_code(self) -> str:
-        """Why the controller is not to be had as code; "" if its code does what the policy does."""
+        """Why the controller is not available as code; "" if its code agrees with the policy."""
         law = self.formulas
         if isinstance(law, str):
             return law
@@ -74,22 +74,22 @@ class ExperimentRequest:
         plain = formulas_of(self.policy, self.task, self.theta)
         if found or isinstance(plain, str) or not plain.time_dependent:
             return found
-        return self._difference(plain, NO_LIMITS.bounds(self.task), whole=True)  # none ends it before
+        return self._difference(plain, NO_LIMITS.bounds(self.task), whole=True)  # no limit ends it earlier
 
     def _difference(self, law: Formulas, bounds: Bounds, whole: bool = False) -> str:
-        """How the law as code, within these limits, differs from the policy; "" if it does not."""
+        """How the law as code, within these limits, differs from the policy; "" if it agrees."""
         written = _written(self.task, law, "", bounds)
         return difference(self.policy, self.task, self.theta, bounds, *written, whole)
 
     def code(self, title: str) -> dict[str, str]:
-        """The controller in C and in Python, by the names of their files; empty without formulas."""
+        """The controller in C and in Python, by file name; empty without formulas."""
         law = self.formulas
         if isinstance(law, str):
             return {}
         return dict(zip((HEADER, MODULE), _written(self.task, law, title, self.bounds), strict=True))
 
     def text(self) -> str:
-        """The request as JSON; null is no limit."""
+        """The request as JSON; null means no limit."""
         content = {"format": FORMAT, "request": self.name, **self.content()}
         return json.dumps(content, indent=2, allow_nan=False) + "\n"
 
@@ -138,12 +138,12 @@ def _written(task: Task, law: Formulas, title: str, bounds: Bounds) -> tuple[str
 
 
 def refuse_copy(source: str, asked: Mapping[str, Any], other: str, content: Mapping[str, Any]) -> None:
-    """Refuse an answer that is the same as the other one, if that was asked for something else.
+    """Refuse an answer identical to another one that answered a different request.
 
     Raises
     ------
     HardwareError
-        In one line that names the other one.
+        If so; the message names the other one in one line.
     """
     if content != asked:
         raise HardwareError(f"{source}: is what answers another request, {other}")
@@ -154,12 +154,12 @@ def _named(quantities: Sequence[Quantity]) -> list[dict[str, Any]]:
 
 
 def _limits(lower: float, upper: float) -> dict[str, float | None]:
-    """The limit of an input's size or, where it is not symmetric, on either side."""
+    """The limit of an input's size or, if it is not symmetric, on each side."""
     if lower == -upper:
         return {"limit": _limit(upper)}
     return {"lower_limit": _limit(lower), "upper_limit": _limit(upper)}
 
 
 def _limit(value: float) -> float | None:
-    """A limit, None where there is none."""
+    """A limit; None if there is none."""
     return float(value) if np.isfinite(value) else None

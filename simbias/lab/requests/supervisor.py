@@ -1,11 +1,11 @@
 """Runs a program, and ends it when the process that started this one is gone.
 
 Standard input brings one line of JSON: {"command": [...], "text": ..., "keep": [...]}. The program gets the
-text on its standard input, and inherits the file descriptors to keep. Once standard input closes, as it does
-when the parent is killed, or on SIGTERM, the program and all processes of its group get SIGTERM, and SIGKILL
-after GRACE seconds. On Linux the program is killed also where this process is.
+text on its standard input, and inherits the file descriptors to keep. When standard input closes (as when the
+parent is killed), or on SIGTERM, the program and all processes of its group get SIGTERM, and SIGKILL after
+GRACE seconds. On Linux, the program is also killed if this process is killed.
 
-It is run as a file, by Python's standard library alone, so that it starts within milliseconds.
+It runs as a script, with only Python's standard library, so that it starts within milliseconds.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from collections.abc import Callable
 from functools import partial
 
 GRACE = 1.0  # s between SIGTERM and SIGKILL
-CANNOT_START = 127  # exit status, as a shell's
+CANNOT_START = 127  # exit status, as in a shell
 PR_SET_PDEATHSIG = 1
 
 
 def main() -> int:
-    """Run the program; its exit status, 128 + n where signal n ended it."""
+    """Run the program; return its exit status, or 128 + n if signal n ended it."""
     _die_with_parent(signal.SIGTERM)
     line = b""
     while not line.endswith(b"\n"):  # without sys.stdin, whose lock a blocked thread holds at exit
@@ -47,7 +47,7 @@ def main() -> int:
     except OSError as error:
         print(f"cannot be started ({error})", file=sys.stderr)
         return CANNOT_START
-    changed = threading.Event()  # the program has ended, or has to
+    changed = threading.Event()  # the program has ended, or must end
     signal.signal(signal.SIGTERM, lambda *_: changed.set())
     threading.Thread(target=_give, args=(program, told["text"]), daemon=True).start()
     for wait in (program.wait, lambda: os.read(0, 1)):  # standard input closes when the parent is gone
@@ -60,20 +60,20 @@ def main() -> int:
 
 
 def _then(wait: Callable[[], object], changed: threading.Event) -> None:
-    """Note that something waited for has come."""
+    """Set `changed` once `wait` returns."""
     wait()
     changed.set()
 
 
 def _give(program: subprocess.Popen[bytes], text: str) -> None:
-    """Give the program its text, as far as it reads it."""
+    """Write the text to the program, as far as it reads it."""
     assert program.stdin is not None
     with contextlib.suppress(OSError), program.stdin as pipe:
         pipe.write(text.encode())
 
 
 def _end(program: subprocess.Popen[bytes]) -> None:
-    """End the program and its group, first kindly."""
+    """End the program and its group: first SIGTERM, then SIGKILL."""
     _signal(program, "SIGTERM")
     until = time.monotonic() + GRACE
     while _signal(program, "") and time.monotonic() < until:
@@ -82,7 +82,7 @@ def _end(program: subprocess.Popen[bytes]) -> None:
 
 
 def _signal(program: subprocess.Popen[bytes], name: str) -> bool:
-    """Send the program's group a signal, none for ""; whether there is still somebody to get it."""
+    """Send the program's group a signal (none for ""); return whether any process is left."""
     if os.name != "posix":
         if name:
             program.terminate()
@@ -95,7 +95,7 @@ def _signal(program: subprocess.Popen[bytes], name: str) -> bool:
 
 
 def _die_with_parent(number: int) -> None:
-    """Get a signal when the parent dies, where the system offers that: Linux."""
+    """Request a signal for the parent's death, if the system supports it (Linux)."""
     if sys.platform == "linux":
         import ctypes
 

@@ -1,4 +1,4 @@
-"""Trajectories that come back from a lab: brought to the task's frames, or refused in one line."""
+"""Trajectories returned from a lab: converted to the task's frames, or refused in one line."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from simbias.lab.rates import check_rates, rates_of
 from simbias.lab.requests.request import ExperimentRequest
 from simbias.lab.safety import without_limits
 
-TIME, FAILURE = Quantity("time", "s"), "failure"  # columns beside states and inputs
-NO_FAILURE = {"", "-", "none", "nan", "na", "n/a", "null", "no", "ok"}  # how tools write that nothing failed
+TIME, FAILURE = Quantity("time", "s"), "failure"  # columns in addition to states and inputs
+NO_FAILURE = {"", "-", "none", "nan", "na", "n/a", "null", "no", "ok"}  # how tools denote no failure
 STILL = "simbias: %s: %s stands still while %s does not: is a sensor dead?"
 OTHER = (
     "simbias: %s: %s is not as the requested policy commands in these states: is it another experiment, or "
     "late?"
 )
-UNLIKE = 0.7  # of the root mean square of commands, by which another policy's differ
-LASTS = 0.5  # autocorrelation of what is not noise
-JITTER = 0.25  # of a frame, within which a row counts as on time
-GAP = 2.5  # intervals between rows that are no gap yet
-COARSEST = 1.05  # of the task's time step that the rows may be apart
-DEGREES, ABOUT = 180 / math.pi, 0.1  # in a radian; relative deviation of a ratio that still looks like it
-NOISE = 1e-3  # rad or rad/s, below which a ratio says nothing
+UNLIKE = 0.7  # of the root mean square of commands: larger differences suggest another policy
+LASTS = 0.5  # autocorrelation above which a difference is not noise
+JITTER = 0.25  # of a frame: tolerance for a row to be on time
+GAP = 2.5  # intervals between rows; longer ones are gaps
+COARSEST = 1.05  # of the task's time step: largest distance of rows
+DEGREES, ABOUT = 180 / math.pi, 0.1  # degrees per radian; tolerance of a ratio that suggests it
+NOISE = 1e-3  # rad or rad/s, below which a ratio is not meaningful
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,8 +43,8 @@ class Measurements:
     times: Array  # (r,) s
     states: Array  # (r, n) measured
     inputs: Array  # (r, m) commanded from this time on
-    failure: str | None = None  # that the lab reports in the last row
-    rows: tuple[int, ...] = ()  # (r,) where they stand in the file, the header being row 1
+    failure: str | None = None  # reported by the lab in the last row
+    rows: tuple[int, ...] = ()  # (r,) row numbers in the file; the header is row 1
 
 
 def header(task: Task) -> list[str]:
@@ -54,7 +54,7 @@ def header(task: Task) -> list[str]:
 
 
 def template(task: Task, start: Array) -> str:
-    """A file with its header and the row of the start, for a person to fill."""
+    """A file with its header and the start's row, for a person to fill in."""
     first = ["0.0", *(repr(float(value)) for value in start), *("" for _ in task.inputs), ""]
     return f"{','.join(header(task))}\n{','.join(first)}\n"
 
@@ -65,7 +65,7 @@ def read(path: Path, request: ExperimentRequest) -> Rollout:
     Raises
     ------
     HardwareError
-        If something is wrong with it: one line with file, row and column.
+        If the file is wrong; the message gives file, row and column in one line.
     """
     table = read_table(path, may_lack=FAILURE)
     columns = _columns(table, request.task)
@@ -78,7 +78,7 @@ def read(path: Path, request: ExperimentRequest) -> Rollout:
 
 
 def _columns(table: Table, task: Task) -> list[int]:
-    """Where time, states and inputs stand; other columns may stand between them."""
+    """Indices of the columns of time, states and inputs; other columns may lie between them."""
     bare, found = [name.partition("(")[0].strip() for name in table.names], []
     for name, unit, *_ in (TIME, *task.states, *task.inputs):
         if bare.count(name) != 1:
@@ -117,14 +117,14 @@ def _failure(table: Table) -> str | None:
 def frame(measured: Measurements, request: ExperimentRequest, source: str) -> Rollout:
     """Measurements at the task's frames, up to its first failure.
 
-    Rows that are more frequent are resampled: states between rows lie on straight lines, an input is the
-    mean of those that acted during the frame. Rows that are rarer, and gaps, are refused. Angles that wrap
-    are unwound, from within half a turn of the start that was asked for.
+    More frequent rows are resampled: states are interpolated linearly, and an input is the mean of the inputs
+    during the frame. Rarer rows, and gaps, are refused. Angles that wrap are unwound, from within half a turn
+    of the requested start.
 
     Raises
     ------
     HardwareError
-        In one line that begins with the source and names row and column.
+        The message begins with the source and names row and column in one line.
     """
     task = request.task
     rows = measured.rows or tuple(range(1, len(measured.times) + 1))
@@ -143,7 +143,7 @@ def frame(measured: Measurements, request: ExperimentRequest, source: str) -> Ro
     check_rates(source, [Rollout(states, inputs)], task, rates_of(task))
     _tell_what_stands_still(states, task, source)
     tell_other_commands(states, inputs, request, source)
-    within = times[-1] <= (task.horizon + JITTER) * task.time_step  # what fails later has lasted
+    within = times[-1] <= (task.horizon + JITTER) * task.time_step  # a later failure is beyond the horizon
     failure = measured.failure if within else None
     return _ended(states, inputs, failure, request, f"{source}: row {rows[-1]}")
 
@@ -159,14 +159,14 @@ def _tell_what_stands_still(states: Array, task: Task, source: str) -> None:
 
 
 def tell_other_commands(states: Array, inputs: Array, request: ExperimentRequest, source: str) -> None:
-    """Warn of inputs (k, m) that are unlike the policy's in the states (k+1, n), or a frame off them.
+    """Warn of inputs (k, m) unlike the policy's at the states (k+1, n), or a frame off.
 
-    What the policy's own sensors add to its commands does not last from frame to frame.
+    Differences due to noise in the policy's own sensors do not persist from frame to frame.
     """
     try:
         controller = without_limits(request.policy).controller(request.theta, request.task.time_step)
         asked = np.array([controller(x) for x in states[:-1]]).reshape(inputs.shape)
-    except Exception:  # of the policy, which simulates it, too: it is told there
+    except Exception:  # of the policy, which is also simulated: reported there
         return
     for quantity, u, commanded in zip(request.task.inputs, inputs.T, asked.T, strict=True):
         off = u - commanded
@@ -177,14 +177,14 @@ def tell_other_commands(states: Array, inputs: Array, request: ExperimentRequest
 
 
 def _unwound(states: Array, request: ExperimentRequest) -> Array:
-    """States (r, n) whose angles that wrap neither jump by a turn nor begin turns away from the start."""
+    """States (r, n) with wrapping angles unwound, beginning within half a turn of the start."""
     states = unwound(states, request.task.states)
     away = states[0] - request.start
     return states + (wrapped(away, request.task.states) - away)
 
 
 def _check_start(states: Array, rows: Sequence[int], request: ExperimentRequest, source: str) -> None:
-    """Refuse a start that was not asked for, and degrees where radians were."""
+    """Refuse a start other than the requested one, and degrees instead of radians."""
     task, start, got, begun = request.task, request.start, states[0], _unwound(states[:1], request)[0]
     reason = "; are these degrees?" if _in_degrees(got, start, task) else "; is it another unit?"
     for index, quantity in enumerate(task.states):
@@ -212,7 +212,7 @@ def _check_start(states: Array, rows: Sequence[int], request: ExperimentRequest,
 
 
 def _in_degrees(x: Array, radians: Array, task: Task) -> bool:
-    """Whether every angle and angular rate in x (n,) is what it is in radians (n,), in degrees."""
+    """Whether every angle and angular rate in x (n,) is its value in radians (n,), converted to degrees."""
     angular = np.array([quantity.unit.startswith("rad") for quantity in task.states]) & (
         np.abs(radians) > NOISE
     )
@@ -221,7 +221,7 @@ def _in_degrees(x: Array, radians: Array, task: Task) -> bool:
 
 
 def _check_times(times: Array, rows: Sequence[int], task: Task, source: str) -> None:
-    """Refuse times that do not increase, and rows that are too rare or leave a gap."""
+    """Refuse times that do not increase, and rows that are too far apart or leave a gap."""
     steps = np.diff(times)
     back = np.flatnonzero(steps <= 0)
     if len(back):
@@ -247,7 +247,7 @@ def _check_times(times: Array, rows: Sequence[int], task: Task, source: str) -> 
 
 
 def _check_inputs(inputs: Array, rows: Sequence[int], request: ExperimentRequest, source: str) -> None:
-    """Refuse inputs beyond the limits: they are in another unit, or the limits were not held."""
+    """Refuse inputs beyond the limits: they are in another unit, or the limits were not enforced."""
     (lower, upper), rounding = request.bounds.input_bounds, 1e-6 * request.bounds.inputs
     beyond = np.argwhere((inputs < lower - rounding) | (inputs > upper + rounding))
     if len(beyond):
@@ -262,8 +262,8 @@ def _check_inputs(inputs: Array, rows: Sequence[int], request: ExperimentRequest
 
 
 def _means(times: Array, inputs: Array, wanted: Array) -> Array:
-    """The means (k, m) of inputs that are held between times, from each wanted time to the next."""
-    wanted = np.minimum(wanted, times[-1])  # the last row may come a little early
+    """The means (k, m) of inputs held between times, from each wanted time to the next."""
+    wanted = np.minimum(wanted, times[-1])  # the last row may be slightly early
     steps = np.diff(times)[:, None]
     sums = np.concatenate([np.zeros((1, inputs.shape[1])), np.cumsum(steps * inputs[:-1], axis=0)])
     at = np.stack([np.interp(wanted, times, column) for column in sums.T], axis=1)

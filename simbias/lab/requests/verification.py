@@ -1,4 +1,4 @@
-"""Generated controllers are held against the policy before they are written, frame by frame."""
+"""Comparison of generated controllers with the policy, frame by frame, before they are written."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from simbias.core.records import Array
 from simbias.lab.safety import Bounds, SafetyLimitedPolicy, UnsafeError, without_limits
 
 FRAMES = 200  # of each sequence of states
-AMPLITUDES = (0.0, 0.01, 0.1, 1.0, 10.0)  # of the sequences, besides the deviation of starts
-AFTER = 50  # frames after the horizon that are compared too
+AMPLITUDES = (0.0, 0.01, 0.1, 1.0, 10.0)  # of the sequences, in addition to the deviation of starts
+AFTER = 50  # frames after the horizon that are also compared
 STEPS = np.geomspace(0.01, 10.0, 50)  # that states make; the smallest is taken where no input is cut off
 AGREEMENT = 1e-9  # relative to the largest input
-ROUNDING = 2.0**-52  # of measurements, relative; what this changes grows where a policy state is chaotic,
-ROUNDED = 1e3  # and so many times as much is no difference,
+ROUNDING = 2.0**-52  # relative, of measurements; its effect grows if a policy state is chaotic,
+ROUNDED = 1e3  # and this many times the effect is tolerated,
 CHECKED, MOST_UNCHECKED = 1e-6, 0.3  # if it is less than this in most frames, relative to the largest input
 SECONDS = 60.0  # for a C compiler
 
@@ -60,8 +60,9 @@ def difference(
 ) -> str:
     """Difference of the controllers in C and Python from the policy theta (p,), in a line; "" if none.
 
-    C is tried where there is a compiler, `cc`. What rounding alone changes is no difference. The whole is the
-    horizon and some frames after it, which no limit of `bounds` may end; else the first frames are compared.
+    C is tested if there is a compiler, `cc`. Effects of rounding alone are no difference. With `whole`, the
+    horizon and some frames after it are compared, and no limit in `bounds` may end them; otherwise the first
+    frames.
     """
     limited = SafetyLimitedPolicy(without_limits(policy), task, bounds)
     sequences = [_wandering(policy, task, theta)] if whole else _sequences(task)
@@ -95,7 +96,7 @@ def difference(
 
 
 def _sequences(task: Task) -> list[Array]:
-    """States (FRAMES + 2, n) that grow from the start on, drift and jump; the last but one is no number."""
+    """States (FRAMES + 2, n) that grow from the start on, drift and jump; the last but one is nan."""
     rng, n = np.random.default_rng(0), len(task.states)
     growing = np.linspace(0.0, 1.0, FRAMES)[:, None]
     sequences = []
@@ -108,7 +109,7 @@ def _sequences(task: Task) -> list[Array]:
 
 
 def _wandering(policy: Policy, task: Task, theta: Array) -> Array:
-    """States (k, n) over the horizon and after it that wander, so that inputs are seldom cut off."""
+    """States (k, n) that wander over the horizon and beyond, so that inputs rarely saturate."""
     rng, x, policy_state = np.random.default_rng(0), task.start_mean, np.zeros(policy.state_size)
     lower, upper = task.input_bounds
     states = np.empty((task.horizon + AFTER, len(x)))
@@ -124,9 +125,9 @@ def _wandering(policy: Policy, task: Task, theta: Array) -> Array:
 
 
 def _run(start: Callable[[], Any], states: Array, task: Task) -> Array:
-    """Whether each frame is to be aborted, and its inputs: (k, 1 + m) of states (k, n).
+    """Abort flag and inputs (k, 1 + m) of each frame, at states (k, n).
 
-    An abort holds for the frame after it, too. Then another controller takes over, so that all frames count.
+    An abort also holds for the next frame. Then a new controller takes over, so that all frames count.
     """
     rows, aborts = np.zeros((len(states), 1 + len(task.inputs))), 2
     with np.errstate(all="ignore"):
