@@ -87,7 +87,7 @@ class DynamicOutputFeedback(Policy):
         self.state_size = 2 * q + self._delay * m
 
     def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
-        """Inputs u (..., m) at states x (..., n), and y (q), rho w (q), last inputs (m d)."""
+        """Inputs u (..., m) at states x (..., n), and the next y (q), rho w (q), last inputs (m d)."""
         q, m, d = self._q, self._m, self._delay
         H, smoothing, gathering, g, u_0 = self._parameters(theta)
         z = self._task.output(x)

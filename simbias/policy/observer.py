@@ -54,7 +54,7 @@ class Observer(ABC):
 
     @abstractmethod
     def estimate(self, gains: Array, x: Array, t: Any, kept: Array) -> Array:
-        """The state (..., n) of what is measured, x (..., n); gains (..., o), its state (..., s)."""
+        """The estimate (..., n) from measurements x (..., n), gains (..., o) and its own state (..., s)."""
 
     @abstractmethod
     def keep(self, x: Array, estimate: Array, u: Array, kept: Array) -> Array:

@@ -118,7 +118,7 @@ class Trajectory(Policy):
         return u, self._observer.keep(x, estimate, u, policy_state)
 
     def following(self, states: Array, inputs: Array, *gains: Array) -> Array:
-        """The parameters (p,) that follow x_t (K, n), u_t (K, m) with K_t and L_t (K, m, n) at the knots."""
+        """The parameters (p,) to follow x_t (K, n), u_t (K, m) with K_t and L_t (K, m, n) at the knots."""
         used = gains[: 1 + self.sliding]
         rows = np.concatenate([states, inputs, *(each.reshape(self._knots, -1) for each in used)], axis=1)
         return np.clip(rows.ravel(), *self.bounds)

@@ -76,7 +76,7 @@ class Thresholds(Samples):
         self._selection = selection
 
     def select(self, rollouts: Sequence[Rollout], nominal: Nominal) -> Selection:
-        """Downsample; judge states and residuals (Eq. 6) by the criteria; count what each rejects first."""
+        """Downsample; apply the criteria to states and residuals (Eq. 6); count the first that rejects."""
         every = Transitions.empty(len(self._task.states), len(self._task.inputs))
         verdicts, sampled = np.empty(0, np.int64), np.empty(0, np.bool_)
         for rollout in rollouts:
