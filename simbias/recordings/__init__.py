@@ -1,1 +1,1 @@
-"""From recordings of a robot to a model, and to what of it may be trusted."""
+"""Models from recordings of a robot, and which of their parameters can be trusted."""

@@ -1,4 +1,4 @@
-"""Identify a model from recordings and judge it on what it was not fitted to."""
+"""Identify a model from recordings and judge it on held-out data."""
 
 from __future__ import annotations
 
@@ -25,26 +25,26 @@ from simbias.recordings.parts import Part, others, parts
 from simbias.recordings.reach import Reach, beyond
 from simbias.trial.study import Study
 
-OTHER_WINDOWS = (0.5, 2.0)  # durations of predictions, over the chosen one
-LONGEST = max(OTHER_WINDOWS)  # that each part has to hold
-UNEXPLAINED = 2.0  # times what noise and uncertainty explain, from which the model lacks something
+OTHER_WINDOWS = (0.5, 2.0)  # durations of predictions, relative to the chosen one
+LONGEST = max(OTHER_WINDOWS)  # duration that each part must have, in windows
+UNEXPLAINED = 2.0  # times the errors explained by noise and uncertainty: beyond, the model is incomplete
 
 
 @dataclass(frozen=True, eq=False)
 class Assessment:
     """A model identified from recordings, and what is known of it."""
 
-    study: Study  # that is `prepared`; what recordings do not need, as its cost, may be None
-    recordings: Sequence[str]  # that were not held out
-    identified: Identified  # from all of them
-    parts: Sequence[Part]  # of these, each predicted by a model of the others
+    study: Study  # `prepared`; components that recordings do not need, such as its cost, may be None
+    recordings: Sequence[str]  # those not held out
+    identified: Identified  # from all these recordings
+    parts: Sequence[Part]  # parts of them, each predicted by a model of the others
     held_out: Part | None
-    models: Sequence[Identified]  # (parts, then held out) that were not fitted to the part
+    models: Sequence[Identified]  # by part, then held-out part: a model not fitted to it
     findings: Sequence[Finding]
     predictions: Sequence[HorizonErrors]
     mistakes: Sequence[Mistake]  # of signs and columns
-    by_window: Mapping[float, float]  # deviations with windows of so many s, over those of `identified`
-    steps_checked: bool  # whether it is known how far shorter steps of integration would move parameters
+    by_window: Mapping[float, float]  # window in s -> deviations relative to those of `identified`
+    steps_checked: bool  # whether the effect of shorter integration steps on parameters is known
 
     @property
     def task(self) -> Task:
@@ -53,27 +53,27 @@ class Assessment:
 
     @property
     def nominal(self) -> Nominal:
-        """The nominal model as it was declared."""
+        """The nominal model as declared."""
         return self.study.nominal
 
     @property
     def judged(self) -> list[Part]:
-        """The parts that are predicted: what was held out, or else each part."""
+        """The parts that are predicted: held-out recordings or, without any, each part."""
         return [self.held_out] if self.held_out else list(self.parts)
 
     @property
     def ratio(self) -> float:
-        """Error over the nominal model's, on what the models were not fitted to."""
+        """Prediction error on held-out data, relative to the nominal model's."""
         return overall(self.predictions)
 
     @cached_property
     def ratios(self) -> dict[str, float]:
-        """Error over the nominal model's, by the name of each part."""
+        """Prediction error relative to the nominal model's, by the name of each part."""
         return {part.name: overall(self.predictions, i) for i, part in enumerate(self.judged)}
 
     @cached_property
     def reaches(self) -> dict[str, list[Reach]]:
-        """How far each part, by its name, reaches beyond what its model was learned from."""
+        """How far each part, by name, extends beyond its model's training data."""
         everything = [rollout for part in self.parts for rollout in part.rollouts]
         return {
             part.name: beyond(
@@ -86,7 +86,7 @@ class Assessment:
 
     @property
     def better(self) -> bool:
-        """Whether the model predicts better than the nominal one what it was not fitted to."""
+        """Whether the model predicts held-out data better than the nominal one."""
         return self.ratio < 1.0
 
     @property
@@ -96,13 +96,13 @@ class Assessment:
 
     @property
     def failing(self) -> float:
-        """The share of the recorded states that are beyond the task's failure criteria."""
+        """The share of recorded states that violate the task's failure criteria."""
         states = [rollout.states for part in self.parts for rollout in part.rollouts]
         return float(np.mean(self.task.violated(np.concatenate(states)) >= 0))
 
     @property
     def own_estimates(self) -> dict[str, list[Estimate]]:
-        """Values of each recording, by its name, that it has of its own, as zeros or a load."""
+        """Estimates of recording-specific parameters, such as zeros or a payload, by recording."""
         fits = map(self.identified.of_recording, range(len(self.recordings)))
         return {
             name: [e for each, e in zip(fit.parameters, fit.estimates, strict=True) if each.of_recording]
@@ -111,15 +111,15 @@ class Assessment:
 
     @property
     def unexplained(self) -> tuple[float, float] | None:
-        """How many times what noise and the model's uncertainty explain errors are at most, after so many s.
+        """The largest ratio of errors to those explained by noise and model uncertainty, with its horizon.
 
-        None where all are explained; else the model lacks something.
+        None if all errors are explained; otherwise the model is incomplete.
         """
         each = ((one.unexplained(), one.seconds) for one in self.predictions)
-        return max((found for found in each if found[0] > UNEXPLAINED), default=None)  # not where it is nan
+        return max((found for found in each if found[0] > UNEXPLAINED), default=None)  # nan is ignored
 
     def doubted(self, doubt: str = "") -> Assessment:
-        """The same, in which what is doubtful about the model or its recordings is so of each parameter."""
+        """A copy in which doubts about the model or its recordings apply to each parameter."""
         lacks = "the model lacks something" if self.unexplained is not None else ""
         doubts = doubt, lacks if self.better else "the model is no better than the nominal one"
         more = tuple(filter(None, doubts))
@@ -132,12 +132,12 @@ class Assessment:
 
 
 def prepared(study: Study) -> Study:
-    """The study of what recordings tell of the robot, also of what strong motion does not determine.
+    """The study prepared for identification from recordings, even under strong motion.
 
     Raises
     ------
     ConfigError
-        If it identifies no posterior, nothing is uncertain, or the model has no such parameter.
+        If it identifies no posterior, no parameter is uncertain, or the model has no such parameter.
     """
     study, posterior = study.without_targets, study.identification
     if not isinstance(posterior, Posterior):
@@ -152,7 +152,7 @@ def prepared(study: Study) -> Study:
     return replace(study, identification=posterior.of_recordings())
 
 
-@threadpool_limits.wrap(limits=1, user_api="blas")  # of small matrices: threads cost more than they save
+@threadpool_limits.wrap(limits=1, user_api="blas")  # for small matrices, threads cost more than they save
 def assess(
     study: Study,
     recordings: Mapping[str, Sequence[Rollout]],
@@ -162,9 +162,9 @@ def assess(
 ) -> Assessment:
     """Identify the nominal model of a study, which is `prepared`, from recordings, and judge it.
 
-    Recordings are given by name, each as its pieces. Without ones that are held out, each recording (of a
-    single one, each third) is predicted by a model of all others. A doubt about the recordings is one about
-    each parameter.
+    Recordings are given by name, each as its pieces. Without held-out ones, each recording (or each third of
+    a single one) is predicted by a model of all others. A doubt about the recordings applies to each
+    parameter.
 
     Raises
     ------
@@ -202,7 +202,7 @@ def assess(
         models = [identified]
     else:
         models = alone[::-1] if len(all_parts) == 2 else [fit(each, each.name) for each in rest]
-    one = not kept and len(recordings) == 1  # its parts are alike in what it has of its own
+    one = not kept and len(recordings) == 1  # its parts share its specific parameters
     models = [model.of_recording(0) if one else model.elsewhere() for model in models]
     pairs = zip(alone, rest, strict=True)
     learned = [(model.elsewhere(), apart.rollouts) for model, apart in pairs] if kept else []
@@ -226,7 +226,7 @@ def assess(
 
 
 def _check_length(posterior: Posterior, all_parts: Sequence[Part]) -> None:
-    """Refuse parts in which nothing can be predicted."""
+    """Refuse parts that are too short for predictions."""
     longest = posterior.with_window(LONGEST * posterior.window)
     for part in all_parts:
         if not longest.windows(part.rollouts):

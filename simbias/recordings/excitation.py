@@ -1,4 +1,4 @@
-"""Trajectories of inputs that tell most of a model's parameters, within a robot's limits."""
+"""Excitation: the most informative input trajectories about a model's parameters, within limits."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from simbias.learning.prediction_errors import ErrorDistribution
 from simbias.simulation.open_loop import PredictionModel, Windows, predict
 from simbias.trial.study import Study
 
-MODELS = 16  # the most probable one and draws, on which a trajectory keeps the limits
-FURTHER = 200  # draws that take no part in the search, on which the limits are judged
-JUDGED = 4  # of the models, at which it is judged where nothing has been learned
-HARMONICS = 20  # of each input's Fourier series, at most
+MODELS = 16  # the most probable one and draws, on which a trajectory must keep the limits
+FURTHER = 200  # held-out draws for judging the limits
+JUDGED = 4  # of the models, at which information is computed if nothing has been learned
+HARMONICS = 20  # maximum number in each input's Fourier series
 FASTEST = 5.0  # Hz
-RAMP = 0.25  # s, in which inputs rise from zero, and fall to it
-SCALES = 0.75 ** np.arange(12)  # of inputs, until all limits are kept
-FEWEST = 20  # frames of inputs: fewer hold no rise, motion and fall
-RELATIVE_NOISE = 0.005  # of a state's range, where no recording says
-REFERENCES, REFERENCE = 5, 5.0  # random trajectories that tell a state's range, s of each
-RANDOM, SEED = 0.6, 0  # share of trajectories that are drawn at random; the others vary the best
+RAMP = 0.25  # s, in which inputs rise from zero and return to it
+SCALES = 0.75 ** np.arange(12)  # candidate scales of inputs, until all limits are kept
+FEWEST = 20  # frames of inputs: too few for rise, motion and fall
+RELATIVE_NOISE = 0.005  # of a state's range, without recordings
+REFERENCES, REFERENCE = 5, 5.0  # random trajectories for estimating states' ranges; s of each
+RANDOM, SEED = 0.6, 0  # share of random trajectories; the others vary the best
 LIMITS = "hardware.safety", "no inputs were found that keep these limits and the task's criteria"
 CRITERIA = (
     "task",
@@ -39,26 +39,26 @@ CRITERIA = (
 
 @dataclass(frozen=True, eq=False)
 class Excitation:
-    """Inputs, and what they are expected to tell."""
+    """Inputs, and their expected information."""
 
-    rollout: Rollout  # as the most probable model predicts it
-    deviations: Array  # (p,) of the posterior afterwards, in those of the prior: lower bounds
-    information: float  # nats that are gained: the fall of the logarithm of the posterior's volume
-    largest: Array  # (n,) magnitudes of states, over all models on which limits are kept
+    rollout: Rollout  # predicted by the most probable model
+    deviations: Array  # (p,) of the expected posterior, in prior deviations: lower bounds
+    information: float  # nats gained: decrease of the posterior's log volume
+    largest: Array  # (n,) magnitudes of states, over all models that keep the limits
 
 
 class Designer:
-    """Rates trajectories of inputs by the posterior that recordings of them should leave (D-optimal).
+    """Rates input trajectories by the expected posterior given recordings of them (D-optimal design).
 
     Parameters
     ----------
     study
-        Its task's failure criteria and `hardware.safety` are the limits, its identification is what learns.
+        Its task's failure criteria and `hardware.safety` are the limits; its identification is the learner.
     model
-        What is known so far: the nominal model, or an identified one.
+        The current knowledge: the nominal model, or an identified one.
     noise
-        Standard deviations (n,) of measured states, for a model that no errors are known of. Without it, 0.5%
-        of each state's range under random inputs within the limits, the median over some of them.
+        Standard deviations (n,) of measured states, for a model without known errors. By default 0.5% of each
+        state's range under random inputs within the limits (the median over several).
 
     Raises
     ------
@@ -76,7 +76,7 @@ class Designer:
         self._known, self._errors = known, known.errors
         z = np.array([known.mode, *(known.draw_coordinates(rng) for _ in range(MODELS - 1))])
         self._models = self._models_at(z)
-        # Along with what has been learned at the mode, another draw would seem to determine everything.
+        # Combined with the posterior at the mode, any other draw would seem to determine everything.
         judged_at = z[: 1 if known is model else JUDGED]
         self._informations = [Information(self.nominal, each) for each in judged_at]
         self._precision = np.linalg.inv(known.covariance)
@@ -87,14 +87,14 @@ class Designer:
                 raise ConfigError("hardware.safety.inputs", f"{each.name} has no limit: name one here")
         self.noise = self._usual_noise() if noise is None else noise
 
-    @threadpool_limits.wrap(limits=1, user_api="blas")  # of small matrices, as in `assess`
+    @threadpool_limits.wrap(limits=1, user_api="blas")  # small matrices, as in `assess`
     def design(self, seconds: float, trajectories: int, rng: np.random.Generator) -> Excitation:
-        """The best of a number of trajectories of this duration in s.
+        """The best of a number of trajectories with a duration in s.
 
         Raises
         ------
         ConfigError
-            If none keeps the limits, or they are shorter than a window or some frames.
+            If none keeps the limits, or they are shorter than a window or FEWEST frames.
         """
         window, task = self._posterior.window, self._study.task
         if task.frames(seconds) < FEWEST:
@@ -117,23 +117,23 @@ class Designer:
         return best[2]
 
     def rated(self, inputs: Array) -> Excitation | None:
-        """Inputs (T, m), scaled down until all models keep the limits; None if they never do."""
+        """Rate inputs (T, m), scaled down until all models keep the limits; None if they never do."""
         rollouts, kept = self._scaled(inputs)
         return self._judged(rollouts) if kept else None
 
     def beyond(self, inputs: Array) -> float:
-        """The share of draws, other than those of the search, that leave the limits under inputs (T, m)."""
+        """The share of held-out draws that exceed the limits under inputs (T, m)."""
         (rng,) = np.random.default_rng(SEED).spawn(1)
         drawn = self._models_at([self._known.draw_coordinates(rng) for _ in range(FURTHER)])
         return float(np.mean([not self._allowed(each) for each in self._simulated(inputs, drawn)]))
 
     def _models_at(self, coordinates: Sequence[Array] | Array) -> list[Nominal]:
-        """The nominal model with parameters at coordinates (p,), for each of these."""
+        """The nominal models with parameters at each of these coordinates (p,)."""
         parameters = self.nominal.parameters
         return [self.nominal.with_parameters(values_at(parameters, z)) for z in coordinates]
 
     def _scaled(self, inputs: Array) -> tuple[list[Rollout], bool]:
-        """Rollouts of all models under inputs (T, m), scaled down until limits are kept; whether they are."""
+        """Rollouts of all models under inputs (T, m), scaled down until limits are kept; success flag."""
         for scale in SCALES:
             rollouts = self._simulated(np.clip(scale * inputs, *self._bounds.input_bounds), self._models)
             if all(self._allowed(rollout) for rollout in rollouts):
@@ -141,13 +141,13 @@ class Designer:
         return rollouts, False
 
     def _usual_noise(self) -> Array:
-        """Standard deviations (n,) of measured states: a share of each one's range in random trajectories."""
+        """Standard deviations (n,) of measured states: a share of each range in random trajectories."""
         rng = np.random.default_rng(SEED)
         moved = [self._scaled(self._inputs(self._random(rng), REFERENCE))[0] for _ in range(REFERENCES)]
         return RELATIVE_NOISE * np.median([np.ptp(each[0].states, axis=0) for each in moved], axis=0)
 
     def _random(self, rng: np.random.Generator) -> Array:
-        """Coefficients (m, 2, h) of random inputs, each of another strength, all up to a random frequency."""
+        """Coefficients (m, 2, h) of random inputs with random strengths, up to a random frequency."""
         shape = (len(self._study.task.inputs), 2, HARMONICS)
         fastest = rng.uniform(0.1, 1.0)
         c = rng.standard_normal(shape) * (np.arange(HARMONICS) < fastest * HARMONICS)
@@ -155,7 +155,7 @@ class Designer:
         return c
 
     def _inputs(self, c: Array, seconds: float) -> Array:
-        """Inputs (T, m) of Fourier coefficients (m, 2, h), as large as the limits allow."""
+        """Inputs (T, m) from Fourier coefficients (m, 2, h), as large as the limits allow."""
         task = self._study.task
         t = task.time_step * np.arange(task.frames(seconds))
         h = c.shape[2]
@@ -185,7 +185,7 @@ class Designer:
         )
 
     def _judged(self, rollouts: Sequence[Rollout]) -> Excitation:
-        """Expected deviations and information of a trajectory: means over the models that it is judged at."""
+        """Expected deviations and information of a trajectory: means over several models."""
         errors = self._errors or self._of_noise(rollouts[0])
         covariances, gains = [], []
         for information, rollout in zip(self._informations, rollouts, strict=False):
@@ -198,7 +198,7 @@ class Designer:
         return Excitation(rollouts[0], deviations, float(np.mean(gains)), largest)
 
     def _of_noise(self, rollout: Rollout) -> ErrorDistribution:
-        """The errors of the true model's predictions of a noisy recording."""
+        """The distribution of the true model's prediction errors on a noisy recording."""
         rng = np.random.default_rng(SEED)
         noisy = rollout.states + self.noise * rng.standard_normal(rollout.states.shape)
         recorded = Rollout(noisy, rollout.inputs, measured=noisy, sensed=True)

@@ -30,20 +30,20 @@ from simbias.trial.study import Study
 
 GROUP, OPTION = "identification", "identified"
 FIRST_LINE = "# What recordings say of the nominal model's parameters; a trial's experiments add to it."
-DRAWS, MODELS, SEED = 100, 10, 0  # of the posterior: rows of a table, files
+DRAWS, MODELS, SEED = 100, 10, 0  # of the posterior: rows of a table, number of files
 EXCITATION, OWN = "excitation.csv", "recordings.csv"
-OPTIONAL = (EXCITATION, OWN, f"{OPTION}.xml", *(f"draw_{i}.xml" for i in range(MODELS)))  # not of every model
+OPTIONAL = (EXCITATION, OWN, f"{OPTION}.xml", *(f"draw_{i}.xml" for i in range(MODELS)))  # not always written
 MECHANICS_ALONE = "<!-- Without motors and sensors: parameters.csv and draws.csv tell what they add. -->\n"
 OF_RECORDINGS = f"<!-- {{}} at the prior's median: each recording has its own, in {OWN}. -->\n"
 
 
 def check_replaces_nothing(study: Study, folder: Path, option: Path) -> None:
-    """Make the folders; refuse one where what is written would replace what the study is read from.
+    """Make the folders; refuse to overwrite a file that the study is read from.
 
     Raises
     ------
     ConfigError
-        Naming the file; a posterior is of that model, or of that prior, not of the one in its place.
+        Naming the file; a posterior refers to that model or prior, not to its replacement.
     """
     written = {(folder / name).resolve() for name in OPTIONAL}
     for file in getattr(study.nominal, "source_files", ()):
@@ -70,15 +70,15 @@ def write(
 ) -> None:
     """Write everything into a folder, and the option `identification=identified` into its file.
 
-    In place of an excitation, there may be a reason why there is none. `identification` is the config that
-    the model was identified with, `notes` are those on the recordings.
+    `excitation` may be a reason why there is none. `identification` is the config used to identify the model;
+    `notes` are about the recordings.
 
     Raises
     ------
     OSError
         If a file cannot be written.
     """
-    texts = {  # all of them before any is written, or removed
+    texts = {  # all are made before any is written or removed
         "report.html": report(assessment, excitation, notes),
         "parameters.csv": parameters(assessment).to_csv(index=False),
         "errors.csv": errors(assessment).to_csv(index=False),
@@ -94,7 +94,7 @@ def write(
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
     option.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    for name in set(OPTIONAL) - set(texts):  # of the model before
+    for name in set(OPTIONAL) - set(texts):  # files of a previous model
         (folder / name).unlink(missing_ok=True)
 
 
@@ -117,7 +117,7 @@ def parameters(assessment: Assessment) -> pd.DataFrame:
 
 
 def of_recordings(assessment: Assessment) -> pd.DataFrame:
-    """A row for each recording and parameter that it has of its own, as a load or a zero."""
+    """A row for each recording and recording-specific parameter, such as a payload or a zero."""
     return pd.DataFrame(
         {"recording": name, **estimate._asdict()}
         for name, estimates in assessment.own_estimates.items()
@@ -126,7 +126,7 @@ def of_recordings(assessment: Assessment) -> pd.DataFrame:
 
 
 def errors(assessment: Assessment) -> pd.DataFrame:
-    """A row for each horizon and state: root mean square errors of what no model was fitted to."""
+    """A row for each horizon and state: root mean square errors on held-out data."""
     return pd.DataFrame(
         {
             "seconds": prediction.seconds,
@@ -151,7 +151,7 @@ def draws(identified: Identified) -> pd.DataFrame:
 
 
 def models(identified: Identified) -> Iterator[tuple[str, str]]:
-    """Names and texts of MJCF files: of the most probable model and of draws, if MuJoCo's."""
+    """Names and texts of MJCF files of the most probable model and draws, for MuJoCo models."""
     values = draws(identified).to_numpy()[:MODELS]
     drawn = {f"draw_{i}": identified.with_parameters(each) for i, each in enumerate(values)}
     for name, model in {OPTION: identified.model, **drawn}.items():
@@ -172,18 +172,18 @@ def trajectory(task: Task, rollout: Rollout) -> pd.DataFrame:
 
 
 def head(folder: Path, option: Path) -> str:
-    """The option's first lines; they name the folder of its results, whose runs alone may replace it."""
+    """The option's first lines; they name its results folder, whose runs alone may replace the option."""
     results = os.path.relpath(folder.resolve(), option.parent.resolve())
     return f"{FIRST_LINE}\n# Results: {json.dumps(results)}"
 
 
 def option_lines(assessment: Assessment, identification: dict[str, Any]) -> Iterator[str]:
-    """The option's lines: how it was identified, and the posterior in coordinates of the declared priors."""
+    """The option's lines: how it was identified, and the posterior in coordinates of declared priors."""
     identified = assessment.identified.elsewhere()
     yield "# 5% .. most probable .. 95%:"
     for e in identified.estimates:
         yield f"# {brief(e.name)}: {e.low:.5g} .. {e.value:.5g} .. {e.high:.5g} {brief(e.unit)}"
-    if "differences" in identification:  # a class of one's own may have none
+    if "differences" in identification:  # a custom class may have none
         identification = options_of_recordings(identification)
     for key, value in identification.items():
         if key != "known":

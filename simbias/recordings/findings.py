@@ -12,24 +12,24 @@ from simbias.core.records import Array
 from simbias.learning.identification.identified import QUANTILE, Identified
 
 CORRELATED = 0.9
-COMPENSATES = 0.5  # correlation from which a parameter takes up part of what another one gets wrong
-DETERMINED, UNKNOWN = 0.5, 0.2  # shrinkage from which a parameter is told, and below which it is not
-BEYOND_PRIOR = 1.05  # deviations of the prior, from which errors scatter what is identified beyond it
+COMPENSATES = 0.5  # correlation from which a parameter partly compensates for another's error
+DETERMINED, UNKNOWN = 0.5, 0.2  # shrinkage from which a parameter is determined; below 0.2 it is unknown
+BEYOND_PRIOR = 1.05  # prior deviations: a larger posterior deviation exceeds the prior
 AT_BOUND = 0.05  # prior standard deviations from a bound
 TAIL = 2.5  # prior standard deviations from the median
 DISAGREEMENT = 3.0  # standard deviations between estimates of two parts
 STEP_DOUBT = "depends on the integration step"
-TOO_LONG = 1.0  # standard deviations by which shorter steps of integration move what is identified
+TOO_LONG = 1.0  # standard deviations by which shorter integration steps move estimates
 
 
 @dataclass(frozen=True)
 class Finding:
-    """An identified parameter, the share of knowledge that the data added, and doubts about its value."""
+    """An identified parameter, its shrinkage by the data, and doubts about its value."""
 
     prior: Parameter
     estimate: Estimate
-    shrinkage: float  # of the standard deviation, in the prior's coordinate: 0 nothing learned, 1 all
-    partners: Mapping[str, float]  # parameters that it is correlated with by more than 0.9
+    shrinkage: float  # of the standard deviation, in the prior's coordinate: 0 nothing learned, 1 exact
+    partners: Mapping[str, float]  # parameters correlated with it by more than 0.9
     by_part: tuple[Estimate, ...]  # identified from each part alone
     doubts: tuple[str, ...]
 
@@ -53,7 +53,7 @@ def findings(
 ) -> list[Finding]:
     """A finding for each parameter, with its doubts.
 
-    Shorter steps of integration would move them by so many (p,) of their standard deviations.
+    Shorter integration steps would move them by these numbers (p,) of standard deviations.
     """
     deviations = np.sqrt(np.diag(fitted.covariance))
     R = fitted.covariance / np.outer(deviations, deviations)
@@ -68,11 +68,11 @@ def findings(
         partners = {
             names[j]: float(R[i, j]) for j in range(len(names)) if j != i and abs(R[i, j]) > CORRELATED
         }
-        elsewhere = parameter.of_recording and not shrinkage  # nothing is known but the prior
+        elsewhere = parameter.of_recording and not shrinkage  # only the prior is known
         shaken = [
             name for name, r, each in zip(names, R[i], disagree, strict=True) if each and abs(r) > COMPENSATES
         ]
-        # The lower end of a half-normal is what is declared.
+        # The lower end of a half-normal is the declared value.
         tail = fitted.mode[i] if parameter.prior == "half_normal" else abs(fitted.mode[i])
         doubts = [
             "each recording has its own" if elsewhere else _of_shrinkage(shrinkage),
@@ -98,7 +98,7 @@ def at_bound(parameter: Parameter, value: float) -> bool:
 
 
 def _of_shrinkage(shrinkage: float) -> str:
-    """The doubt about a parameter whose prior deviation has shrunk by this share; "" if there is none."""
+    """The doubt about a parameter with this shrinkage; "" if there is none."""
     if shrinkage < UNKNOWN:
         return "the data do not tell"
     return "told in part" if shrinkage < DETERMINED else ""
@@ -113,7 +113,7 @@ def _distance(fits: Sequence[Identified], i: int) -> float:
 
 
 def _moved(fitted: Identified, fits: Sequence[Identified], i: int) -> float:
-    """How far a coordinate moves with the window, in its standard deviations of either fit, the larger."""
+    """How far a coordinate moves with the window, in the larger of its standard deviations."""
     moved = (
         abs(fit.mode[i] - fitted.mode[i]) / np.sqrt(max(fit.covariance[i, i], fitted.covariance[i, i]))
         for fit in fits

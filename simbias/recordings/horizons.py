@@ -1,4 +1,4 @@
-"""How well models predict recordings, by how far ahead; and how well they know it."""
+"""Prediction errors of models on recordings, by horizon, and the calibration of their uncertainty."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ from simbias.learning.noise import noise_of
 from simbias.simulation.open_loop import PredictionModel, Windows, predict
 
 HORIZONS = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)  # s
-SHIFTS = (0.0, 0.5)  # of a window, by which all are shifted for more of them
+SHIFTS = (0.0, 0.5)  # of a window: shifts that give additional windows
 REGION = 0.9  # probability of a predictive region
 DRAWS, SEED = 24, 0  # of the model and of the start, for the spread of a prediction
-COMMON = 0.03  # share of the common second moments in the measure of an error
-LARGEST_SPREAD = LARGEST_ERROR = 1e6  # in place of one that is not finite
-CHANGE = 0.1  # share of the predicted change by which predictions of other recordings may be wrong
-EXACT = 1e-4  # of a state's standard deviation: errors that no one asks to be explained
-FEWEST = 5  # errors that a region is estimated from, for each state
-NARROWEST = 1e-100  # deviation, that of what never moved: its square is a number
-SMALLEST, LARGEST = 1e-150, 1e150  # errors: their ratio is a number
-MOST_RATIO = 1e3  # of errors, or one over it: what blows up counts as this
+COMMON = 0.03  # share of common second moments in the metric of an error
+LARGEST_SPREAD = LARGEST_ERROR = 1e6  # replaces a non-finite one
+CHANGE = 0.1  # share of the predicted change: allowed error on other recordings
+EXACT = 1e-4  # of a state's standard deviation: smaller errors need no explanation
+FEWEST = 5  # errors needed per state to estimate a region
+NARROWEST = 1e-100  # deviation of a state that never moved; its square does not underflow
+SMALLEST, LARGEST = 1e-150, 1e150  # errors; their ratio is finite
+MOST_RATIO = 1e3  # of errors, or its inverse; a divergence counts as this
 
 
 @dataclass(frozen=True, eq=False)
 class HorizonErrors:
-    """Errors of predictions so far ahead, from measured states under measured inputs, by part."""
+    """Prediction errors at one horizon, from measured states under measured inputs, by part."""
 
     seconds: float
-    nominal: tuple[Array, ...]  # of each part (w, n)
-    identified: tuple[Array, ...]  # by models that were not fitted to the part
-    spreads: tuple[Array, ...]  # (w, n, n) of each prediction among models and starts as they may be
-    known: HeldOutErrors | None = None  # what regions are estimated from; None: of each part, the other parts
-    changes: tuple[Array, ...] = ()  # (w, n) as predicted; none if parts are the known recordings
+    nominal: tuple[Array, ...]  # (w, n) for each part
+    identified: tuple[Array, ...]  # by models not fitted to the part
+    spreads: tuple[Array, ...]  # (w, n, n) of each prediction, over drawn models and starts
+    known: HeldOutErrors | None = None  # errors that give regions; None: for each part, the others'
+    changes: tuple[Array, ...] = ()  # (w, n) predicted changes; empty if parts are the known recordings
     noises: tuple[Array, ...] = ()  # (n,) standard deviations of each part's measured states
 
     @property
@@ -56,10 +56,10 @@ class HorizonErrors:
         return ratio(self.identified[part], self.nominal[part])
 
     def coverage(self) -> float:
-        """Share of a part's errors in the 90% region that known ones span; nan if these are too few.
+        """Share of errors in the 90% regions estimated from known errors; nan if these are too few.
 
-        Regions are wider where small differences grow (`regions`), and for recordings other than the known
-        ones by a share of what happens (`of_change`).
+        Regions are wider where small differences grow (`regions`) and, for recordings other than the known
+        ones, by a share of the predicted change (`of_change`).
         """
         held: list[Flags] = []
         for i, own in enumerate(self.identified):
@@ -70,10 +70,10 @@ class HorizonErrors:
         return float(np.mean(np.concatenate(held))) if held else np.nan
 
     def unexplained(self) -> float:
-        """Errors over those that measurement noise and the model's uncertainty explain: 1 if they are all.
+        """Ratio of errors to those explained by noise and model uncertainty; 1 if fully explained.
 
-        Their sizes in terms of these, at the quantile that 90% of normal ones do not exceed; nan if they are
-        too few.
+        Sizes in the metric of these are compared at the 90% quantile of normal errors; nan if there are too
+        few.
         """
         each = zip(self.identified, self.spreads, self.noises, strict=True)
         own = np.concatenate([sizes(wrong, spread + np.diag(noise**2)) for wrong, spread, noise in each])
@@ -83,7 +83,7 @@ class HorizonErrors:
         return float(np.sqrt(np.quantile(own, REGION) / _normal_limit(n)))
 
     def _others(self, index: int) -> HeldOutErrors:
-        """Errors on all parts but one."""
+        """Errors on all parts except one."""
         rest = [j for j in range(len(self.identified)) if j != index]
         errors, spreads = (
             np.concatenate([each[j] for j in rest] or [each[index][:0]])
@@ -93,14 +93,14 @@ class HorizonErrors:
 
 
 class HeldOutErrors(NamedTuple):
-    """Errors of predictions by models that were not fitted to what they predict."""
+    """Errors of predictions by models on held-out data."""
 
     errors: Array  # (v, n)
     spreads: Array  # (v, n, n) of these predictions
 
     @property
     def enough(self) -> bool:
-        """Whether a region can be estimated from them."""
+        """Whether there are enough errors to estimate a region."""
         return len(self.errors) >= FEWEST * self.errors.shape[1] and bool(np.isfinite(self.errors).all())
 
 
@@ -111,10 +111,10 @@ def predictions(
     parts: Sequence[Sequence[Rollout]],
     learned: Sequence[tuple[Nominal, Sequence[Rollout]]] = (),
 ) -> list[HorizonErrors]:
-    """Predictions of each part by the nominal and by the part's identified model, as far as parts last.
+    """Prediction errors of the nominal model and of each part's identified model, by horizon.
 
-    Regions are estimated from the errors of `learned` models on rollouts that each was not fitted to; without
-    these, from those on the other parts.
+    Regions are estimated from the errors of `learned` models on rollouts held out from each; without these,
+    from errors on the other parts.
     """
     longest = min(max(rollout.frames for rollout in part) for part in parts)
     noises = tuple(_noise_of_part(part) for part in parts)
@@ -136,14 +136,14 @@ def predictions(
 
 
 def horizons(task: Task, longest: int) -> list[int]:
-    """The horizons that are told, in frames, as far as the longest rollout lasts."""
+    """The reported horizons in frames, up to the duration of the longest rollout."""
     return [k for k in sorted({task.frames(seconds) for seconds in HORIZONS}) if k <= longest]
 
 
 def over_recorded(
     task: Task, nominal: Nominal, rollouts: Sequence[Rollout]
 ) -> Callable[[Sequence[Rollout]], float]:
-    """Errors of a model on rollouts as changed, over those as recorded: the mean over states and horizons."""
+    """Ratio of a model's errors on changed rollouts to those as recorded: mean over states and horizons."""
     ahead = horizons(task, max(rollout.frames for rollout in rollouts))
     recorded = [errors(nominal, rollouts, k) for k in ahead]
 
@@ -155,7 +155,7 @@ def over_recorded(
 
 
 def _known(learned: Sequence[tuple[Nominal, Sequence[Rollout]]], frames: int) -> HeldOutErrors:
-    """Errors of models this number of frames ahead, each on the rollouts beside it."""
+    """Errors of models this number of frames ahead, each on the rollouts given with it."""
     wrong, spreads = (
         np.concatenate([of(model, rollouts, frames) for model, rollouts in learned])
         for of in (errors, spread)
@@ -164,7 +164,7 @@ def _known(learned: Sequence[tuple[Nominal, Sequence[Rollout]]], frames: int) ->
 
 
 def _noise_of_part(rollouts: Sequence[Rollout]) -> Array:
-    """Standard deviations (n,) of its measured states, at least `EXACT` of their own."""
+    """Standard deviations (n,) of noise in a part's states, at least `EXACT` of the states' deviations."""
     states = np.concatenate([rollout.states for rollout in rollouts])
     return np.maximum(noise_of(rollouts), EXACT * np.std(states, axis=0))
 
@@ -172,7 +172,7 @@ def _noise_of_part(rollouts: Sequence[Rollout]) -> Array:
 def errors(
     nominal: Nominal, rollouts: Sequence[Rollout], frames: int, bias: FittedBias | None = None
 ) -> Array:
-    """Errors (w, n) of predictions this number of frames ahead; infinite where a model has blown up."""
+    """Errors (w, n) of predictions this number of frames ahead; infinite where a model has diverged."""
     windows = _windows(rollouts, frames)
     if not windows:
         return np.empty((0, rollouts[0].states.shape[1]))
@@ -181,13 +181,13 @@ def errors(
 
 
 def changes(wrong: Array, rollouts: Sequence[Rollout], frames: int) -> Array:
-    """Changes (w, n) of states in this number of frames, as predicted with these errors (w, n)."""
+    """Predicted changes (w, n) of states in this number of frames, from prediction errors (w, n)."""
     windows = _windows(rollouts, frames)
     return wrong + windows.means[:, -1] - windows.states[windows.starts] if windows else wrong
 
 
 def spread(model: Nominal, rollouts: Sequence[Rollout], frames: int, noisy: bool = True) -> Array:
-    """Covariance (w, n, n) of each prediction among draws of the model, from starts with noise if `noisy`."""
+    """Covariance (w, n, n) of each prediction over draws of the model, with noisy starts if `noisy`."""
     windows, n = _windows(rollouts, frames), rollouts[0].states.shape[1]
     if not windows:
         return np.empty((0, n, n))
@@ -199,19 +199,20 @@ def spread(model: Nominal, rollouts: Sequence[Rollout], frames: int, noisy: bool
 
 
 def _windows(rollouts: Sequence[Rollout], frames: int) -> Windows | None:
-    """Windows of this number of frames, also shifted by half of it; None if no rollout lasts as long."""
+    """Windows of this number of frames, also shifted by half; None if no rollout is long enough."""
     shifts = sorted({round(share * frames) for share in SHIFTS})
     cut = [r.part(0, r.frames - shift) for r in rollouts for shift in shifts if r.frames - shift >= frames]
     return Windows.of(cut, frames, 1) if cut else None
 
 
 def regions(spreads: Array, known: Array, known_spreads: Array) -> Array:
-    """Covariances (w, n, n) of errors: normal ones of these have the 90% regions that are told.
+    """Covariances (w, n, n) of errors; their normal 90% regions are the reported ones.
 
-    Known errors (v, n) scale the spread of predictions, (w, n, n) and (v, n, n), and a little of their own
-    second moments, so that regions hold 90% of another such error. That is a larger quantile of few of them
-    (V. Vovk, A. Gammerman and G. Shafer, Algorithmic Learning in a Random World, 2005); those of shifted
-    windows are not independent. What no known error holds, as other zeros of sensors, is not in them.
+    Known errors (v, n) scale the spread of predictions, (w, n, n) and (v, n, n), plus a small share of their
+    own second moments, so that regions contain a new such error with 90% probability. With few errors, this
+    is a larger quantile of them (V. Vovk, A. Gammerman and G. Shafer, Algorithmic Learning in a Random World,
+    2005); errors of shifted windows are not independent. Effects absent from known errors, such as other
+    sensor zeros, are not covered.
     """
     known = np.clip(known, -LARGEST_ERROR, LARGEST_ERROR)
     moments = known.T @ known / len(known)
@@ -222,9 +223,9 @@ def regions(spreads: Array, known: Array, known_spreads: Array) -> Array:
 
 
 def of_change(changes: Array) -> Array:
-    """Covariances (w, n, n) to add for recordings of other motions than the known ones, of changes (w, n).
+    """Covariances (w, n, n) to add for recordings of motions other than the known ones, from changes (w, n).
 
-    A model may be wrong in proportion to what happens, in a way that what it was learned from does not show.
+    A model may have errors proportional to the change that its training data do not show.
     """
     deviations = CHANGE * np.clip(changes, -LARGEST_ERROR, LARGEST_ERROR)
     return deviations[:, :, None] ** 2 * np.eye(changes.shape[1])
@@ -246,18 +247,18 @@ def by_state(made: Sequence[HorizonErrors]) -> Array:
 
 
 def ratio(wrong: Array, reference: Array) -> float:
-    """Root mean squares of errors (w, n) over those of a reference (v, n): the geometric mean over states."""
+    """Root mean squares of errors (w, n) relative to a reference (v, n): geometric mean over states."""
     return geometric_mean(_ratios(_rmse(wrong), _rmse(reference)))
 
 
 def _ratios(wrong: Array, reference: Array) -> Array:
-    """Sizes of errors (n,) over those of a reference (n,)."""
+    """Ratios (n,) of error sizes (n,) to those of a reference (n,)."""
     both = (np.clip(each, SMALLEST, LARGEST) for each in (wrong, reference))
     return np.clip(np.divide(*both), 1 / MOST_RATIO, MOST_RATIO)
 
 
 def geometric_mean(values: Array) -> float:
-    """That of positive numbers."""
+    """The geometric mean of positive numbers."""
     return float(np.exp(np.mean(np.log(values))))
 
 
@@ -267,7 +268,7 @@ def _rmse(wrong: Array) -> Array:
 
 
 def sizes(wrong: Array, covariances: Array) -> Array:
-    """Squared sizes (w,) of errors (w, n) in terms of covariances (w, n, n)."""
+    """Squared Mahalanobis norms (w,) of errors (w, n), for covariances (w, n, n)."""
     scale = np.maximum(np.sqrt(np.diagonal(covariances, axis1=1, axis2=2)), NARROWEST)
     scaled = np.clip(wrong, -LARGEST_ERROR, LARGEST_ERROR) / scale
     correlations = covariances / (scale[:, :, None] * scale[:, None, :])
@@ -275,5 +276,5 @@ def sizes(wrong: Array, covariances: Array) -> Array:
 
 
 def _normal_limit(n: int) -> float:
-    """The squared size that 90% of normal errors of n states do not exceed."""
+    """The 90% quantile of the squared norm of normal errors in n states."""
     return float(chdtri(n, 1.0 - REGION))

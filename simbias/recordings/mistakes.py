@@ -1,4 +1,4 @@
-"""Signs and columns of recordings that seem to be mistaken: with others, the models err less."""
+"""Likely mistakes in signs and columns of recordings: changes that reduce the models' errors."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from simbias.core.records import Array, Indices, Rollout
 from simbias.lab.rates import rates_of
 from simbias.recordings.horizons import horizons, over_recorded
 
-MISTAKEN = 0.9  # times the errors, below which a change seems to be right
+MISTAKEN = 0.9  # ratio of errors below which a change is likely correct
 
 
 class Mistake(NamedTuple):
-    """A change of recordings with which the models err less."""
+    """A change of recordings that reduces the models' errors."""
 
     words: str
-    times: float  # errors of the nominal model, over those before
-    recordings: Sequence[str]  # in which it errs less so; none: all
+    times: float  # errors of the nominal model, relative to those before
+    recordings: Sequence[str]  # in which the change reduces errors; empty: all
 
 
 class Change(NamedTuple):
-    """Other signs, or another order, of states (n) and inputs (m)."""
+    """A change of signs or order of states (n) and inputs (m)."""
 
     words: str
     order: Indices  # (n + m,)
     signs: Array  # (n + m,)
 
     def of(self, rollouts: Sequence[Rollout]) -> list[Rollout]:
-        """The rollouts as they would have been recorded."""
+        """The rollouts with this change applied."""
         n = rollouts[0].states.shape[1]
         return [
             replace(
@@ -48,10 +48,10 @@ class Change(NamedTuple):
 def mistakes(
     task: Task, models: Sequence[Nominal], recordings: Mapping[str, Sequence[Rollout]]
 ) -> list[Mistake]:
-    """Mistakes that all models agree on, the one that matters most first; the nominal model is the first.
+    """Mistakes on which all models agree, most important first; the first model is the nominal one.
 
-    Where that lacks a spring, it errs less with the wrong sign of an input below resonance, and the
-    identified one does not. A change that is found stays: a sign is wrong beside those of the others.
+    If the nominal model lacks a spring, a wrong sign of an input below resonance reduces its errors, but not
+    the identified model's. A detected change is kept, since a sign is wrong relative to the others.
     """
     left, found = changes(task), []
     of_each = {
@@ -64,7 +64,7 @@ def mistakes(
     last, last_of_each = np.ones(len(models)), dict.fromkeys(of_each, 1.0)
     while left:
         tried = [np.array([errs(each.of(rollouts)) for errs in errors]) for each in left]
-        best = int(np.argmin([round(each.max(), 3) for each in tried]))  # of a mirrored robot, the input's
+        best = int(np.argmin([round(each.max(), 3) for each in tried]))  # if mirrored, the input's sign
         if tried[best].max() >= MISTAKEN * last.max():
             break
         change = left.pop(best)
@@ -78,9 +78,9 @@ def mistakes(
 
 
 def changes(task: Task) -> list[Change]:
-    """The sign of each input, of each joint with its velocity, of all inputs; two that are swapped.
+    """Candidate changes: signs of each input, of each joint with its velocity, of all inputs; swapped pairs.
 
-    With all signs reversed, two inputs that are swapped may err less than with one sign put right.
+    If all signs are reversed, swapping two inputs may reduce errors more than correcting one sign.
     """
     names = [each.name for each in (*task.states, *task.inputs)]
     inputs = [[place] for place in range(len(task.states), len(names))]

@@ -1,4 +1,4 @@
-"""Recordings, and the parts of them that are held out in turn."""
+"""Recordings, and their parts that are held out in turn."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Part(NamedTuple):
 
     name: str
     rollouts: tuple[Rollout, ...]  # their pieces
-    recordings: tuple[str, ...] = ()  # of which each rollout is a piece; by default each is one
+    recordings: tuple[str, ...] = ()  # recording of each rollout; by default each is its own
 
     @staticmethod
     def of(name: str, recordings: Mapping[str, Sequence[Rollout]]) -> Part:
@@ -27,7 +27,7 @@ class Part(NamedTuple):
 
 
 def parts(recordings: Mapping[str, Sequence[Rollout]]) -> list[Part]:
-    """Each recording, or the thirds of a single one; more than five are dealt into five parts."""
+    """Each recording, or the thirds of a single one; more than five are distributed among five parts."""
     if len(recordings) == 1:
         ((name, pieces),) = recordings.items()
         frames = sum(piece.frames for piece in pieces)
@@ -42,7 +42,7 @@ def parts(recordings: Mapping[str, Sequence[Rollout]]) -> list[Part]:
 
 
 def _between(pieces: Sequence[Rollout], begin: int, end: int) -> Iterator[Rollout]:
-    """The frames from `begin` up to `end` of pieces, as if one followed the other."""
+    """The frames from `begin` up to `end` of the concatenated pieces."""
     for piece in pieces:
         first, last = max(begin, 0), min(end, piece.frames)
         if first < last:
@@ -51,7 +51,7 @@ def _between(pieces: Sequence[Rollout], begin: int, end: int) -> Iterator[Rollou
 
 
 def others(all_parts: Sequence[Part], index: int) -> Part:
-    """All parts but one, together."""
+    """All parts except one, merged."""
     rest = [part for i, part in enumerate(all_parts) if i != index]
     return Part(
         f"all but {all_parts[index].name}",

@@ -27,20 +27,20 @@ from simbias.recordings.findings import Finding
 from simbias.simulation.open_loop import PredictionModel, Windows, predict
 
 COLUMNS = 4  # of parameters, and of states
-SECONDS = 1.0  # of each prediction that is drawn
+SECONDS = 1.0  # of each drawn prediction
 DRAWN = 5  # s of a part, at most
-MEASURED: Any = {"color": HARDWARE, "linewidth": 4.0, "alpha": 0.35}  # seen below a prediction that is right
+MEASURED: Any = {"color": HARDWARE, "linewidth": 4.0, "alpha": 0.35}  # visible below a correct prediction
 PRIOR = "0.75"  # grey
-WIDER = 1.0  # times the interval of prior and posterior on either side of it, up to which others are drawn
-NARROW = 0.1  # of the prior's width: if all estimates lie within, they are drawn without its ends
-LONG = 26  # characters of a name and its unit, beyond which the unit has a line of its own
-CLEAR = 6.0  # times the range of what is measured: a prediction beyond is not drawn
+WIDER = 1.0  # margin around prior and posterior, relative to their interval, for other estimates
+NARROW = 0.1  # of the prior's width: narrower estimates are drawn without the prior's ends
+LONG = 26  # characters of a name with its unit; beyond, the unit gets its own line
+CLEAR = 6.0  # times the measured range: predictions beyond are not drawn
 
 
 def parameters(assessment: Assessment) -> Figure:
     """Prior and posterior of each parameter, from 5% to 95%, and its estimates from each part alone.
 
-    The posterior is always shown whole. An interval that leaves the axes has an arrow there.
+    The posterior is always shown whole. An interval that extends beyond the axes ends in an arrow.
     """
     found = assessment.findings
     figure, (grid,) = panels(len(found), 0.8, COLUMNS)
@@ -85,9 +85,9 @@ def _parameter(axes: Axes, finding: Finding) -> None:
 
 
 def _view(finding: Finding) -> tuple[float, float]:
-    """The interval that is drawn of a parameter, with room around it.
+    """The drawn interval of a parameter, with a margin.
 
-    That of prior and posterior or, if estimates have become far narrower than the prior, that of estimates.
+    It spans prior and posterior or, if estimates are far narrower than the prior, the estimates.
     """
     low, high = finding.prior_interval
     estimates = [finding.estimate, *finding.by_part]
@@ -100,7 +100,7 @@ def _view(finding: Finding) -> tuple[float, float]:
 
 
 def errors(assessment: Assessment) -> Figure:
-    """Root mean square errors of each state, by how far ahead."""
+    """Root mean square errors of each state, by prediction horizon."""
     task, made = assessment.task, assessment.predictions
     figure, (grid,) = panels(len(task.states), 1.8, COLUMNS)
     seconds = [prediction.seconds for prediction in made]
@@ -121,7 +121,7 @@ def errors(assessment: Assessment) -> Figure:
 
 
 def forecasts(assessment: Assessment, index: int) -> Figure:
-    """A judged part as it was measured and as both models predict it, from the measured state each second."""
+    """A judged part as measured and as predicted by both models, from the measured state each second."""
     task, part = assessment.task, assessment.judged[index]
     rollout = max(part.rollouts, key=lambda each: each.frames)
     window = min(task.frames(SECONDS), rollout.frames)
@@ -149,14 +149,14 @@ def forecasts(assessment: Assessment, index: int) -> Figure:
 
 
 def _clear(predicted: Array, measured: Array) -> Array:
-    """A prediction (k,), nan where it is far beyond all that was measured."""
+    """A prediction (k,), with nan far outside the measured range."""
     low, high = measured.min(), measured.max()
     room = CLEAR * (high - low) + 1e-9
     return np.where((predicted > low - room) & (predicted < high + room), predicted, np.nan)
 
 
 def _label(state: Quantity) -> str:
-    """Name and unit of a state, as in tables."""
+    """The name and unit of a state, as in tables."""
     return with_unit(literal(state.name), state.unit)
 
 

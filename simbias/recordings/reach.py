@@ -1,7 +1,7 @@
-"""How far recordings reach beyond what a model was learned from.
+"""How far recordings extend beyond a model's training data.
 
-A region is scaled by errors on what was learned from. Where a robot stands elsewhere, moves faster or is
-pushed harder, these errors tell little (`sweeps/results/rigs/HOW.md`).
+Regions are scaled by errors on training data. If a robot is elsewhere, moves faster or is pushed harder,
+these errors are little guide (`sweeps/results/rigs/HOW.md`).
 """
 
 from __future__ import annotations
@@ -15,25 +15,25 @@ from simbias.core import Task
 from simbias.core.quantities import wrapped
 from simbias.core.records import Array, Rollout
 
-ENDS = (0.0025, 0.9975)  # quantiles that count as the ends of a range: single frames do not
+ENDS = (0.0025, 0.9975)  # quantiles used as the ends of a range, to ignore single frames
 MARGIN = 0.1  # of a range's width, at each end
 WORTH_TELLING = 0.15  # share of frames
 
 
 class Reach(NamedTuple):
-    """A state or an input that leaves the range that a model was learned from."""
+    """A state or an input that leaves the range of a model's training data."""
 
     name: str
     unit: str
     range: tuple[float, float]
-    learned: tuple[float, float]  # its range in what was learned from
-    share: float  # of frames in which it is beyond
+    learned: tuple[float, float]  # its range in the training data
+    share: float  # share of frames beyond this range
 
 
 def beyond(task: Task, rollouts: Sequence[Rollout], learned: Sequence[Rollout]) -> list[Reach]:
-    """States and inputs of rollouts that reach beyond those that were learned from, the most often first.
+    """States and inputs of rollouts outside the range of the `learned` rollouts, most frequent first.
 
-    An angle that wraps is told within half a turn of the middle of what was learned from.
+    An angle that wraps is unwound to within half a turn of the middle of the training data.
     """
     quantities = [*task.states, *task.inputs]
     known = np.quantile(_frames(learned), ENDS, axis=0)

@@ -27,11 +27,11 @@ KINDS = f"{', '.join(ENDS)}, or a ROS 2 bag"
 class Recordings(NamedTuple):
     """Rollouts read from files, with their measurement times and notes."""
 
-    rollouts: dict[str, tuple[Rollout, ...]]  # by file, the pieces that gaps leave
-    times: dict[str, tuple[Array, ...]]  # (k,) when each was measured, in s from its start
-    notes: tuple[str, ...]  # what was done to the data, and the files
-    extent: str  # how long each file is, and how often it was measured
-    doubt: str = ""  # about each parameter that is identified from them
+    rollouts: dict[str, tuple[Rollout, ...]]  # by file: the pieces between gaps
+    times: dict[str, tuple[Array, ...]]  # (k,) sample times of each piece, in s from its start
+    notes: tuple[str, ...]  # changes made to the data, with the files
+    extent: str  # duration and sampling rate of each file
+    doubt: str = ""  # about each parameter identified from them
 
     @property
     def pieces(self) -> Part:
@@ -46,7 +46,7 @@ def read_apart(
     columns: Mapping[str, str] | None = None,
     windows: float = 0.0,
 ) -> tuple[Recordings, Recordings]:
-    """Recordings, and those that are held out, which are not among the first; errors as of `read`."""
+    """Recordings for fitting and held-out recordings, without overlap; errors as for `read`."""
     kept = read(study, held_out, columns)
     return read(study, places, columns, windows, kept.rollouts.values()), kept
 
@@ -58,10 +58,10 @@ def read(
     windows: float = 0.0,
     held_out: Collection[Sequence[Rollout]] = (),
 ) -> Recordings:
-    """Recordings of files, and of all files in folders, but for those with samples that are held out.
+    """Read recordings from files, and from all files in folders, except those with held-out samples.
 
-    Pieces between gaps are left out where they are shorter than `windows` of the study's posterior. Without
-    columns, those of the study's `hardware=recorded` are read, or else the task's own names.
+    Pieces between gaps are left out if shorter than `windows` windows of the study's posterior. The default
+    columns are those of the study's `hardware=recorded`, or else the task's own names.
 
     Raises
     ------
@@ -71,7 +71,7 @@ def read(
     reader, needed = _reader(study, columns), _needed(study, windows)
     files, kept = _all_files(places), {_samples(pieces) for pieces in held_out}
     rollouts, times = dict[str, tuple[Rollout, ...]](), dict[str, tuple[Array, ...]]()
-    notes, extents = defaultdict[str, list[str]](list), list[str]()  # the files that a note is on
+    notes, extents = defaultdict[str, list[str]](list), list[str]()  # note -> its files
     seen, doubts = set[str](), dict[str, None]()
     for file in files:
         name = _name(file, files)
@@ -101,7 +101,7 @@ def read(
 
 
 def _reader(study: Study, columns: Mapping[str, str] | None) -> Reader:
-    """That of the columns, of the study's recordings, or of the task's own names."""
+    """A reader for these columns, those of the study's recordings, or the task's own names."""
     if isinstance(study.hardware, Recorded) and not columns:
         return study.hardware.reader
     try:
@@ -111,7 +111,7 @@ def _reader(study: Study, columns: Mapping[str, str] | None) -> Reader:
 
 
 def _needed(study: Study, windows: float) -> Posterior | None:
-    """A posterior of the windows that a piece has to hold, where pieces are chosen by them."""
+    """A posterior with the windows that a piece must contain; None if pieces are not selected."""
     posterior = study.identification
     if not windows or not isinstance(posterior, Posterior):
         return None
@@ -119,31 +119,31 @@ def _needed(study: Study, windows: float) -> Posterior | None:
 
 
 def _pieces(recording: Recording, needed: Posterior | None) -> list[tuple[Rollout, Array]]:
-    """The pieces between gaps that are long enough, and their samples' times."""
+    """The pieces between gaps that are long enough, and their sample times."""
     pairs = zip(recording.pieces, recording.times, strict=True)
     numbered = ((replace(piece, continues=i > 0), when) for i, (piece, when) in enumerate(pairs))
     return [(piece, when) for piece, when in numbered if not needed or needed.windows([piece])]
 
 
 def _extent(task: Task, pieces: Sequence[Rollout], times: Sequence[Array]) -> str:
-    """How long pieces are together, and at which rate they were sampled."""
+    """The total duration of pieces, and their sampling rate."""
     seconds = task.time_step * sum(piece.frames for piece in pieces)
     intervals = sum(len(when) - 1 for when in times)
     return f"{seconds:.3g} s at {intervals / seconds:.3g} Hz"
 
 
 def _samples(pieces: Sequence[Rollout]) -> str:
-    """A digest of all that was measured."""
+    """A digest of all samples."""
     return short_digest(b"".join(each.tobytes() for piece in pieces for each in (piece.states, piece.inputs)))
 
 
 def columns(text: str) -> dict[str, str]:
-    """Names of columns from YAML, or from a file of that.
+    """Names of columns from YAML text or a YAML file.
 
     Raises
     ------
     ConfigError
-        If it is no mapping of names.
+        If it is not a mapping of names.
     """
     import yaml
 
@@ -160,7 +160,7 @@ def columns(text: str) -> dict[str, str]:
 
 
 def _all_files(places: Sequence[Path | str]) -> Collection[Path]:
-    """Files of places: one that is named twice is one file."""
+    """The files in these places, without duplicates."""
     return {file.resolve(): file for place in places for file in _files(Path(place))}.values()
 
 
@@ -178,5 +178,5 @@ def _files(place: Path) -> list[Path]:
 
 
 def _name(file: Path, files: Collection[Path]) -> str:
-    """A file's name, with its folder where several have the same."""
+    """A file's name, with its folder if the name is not unique."""
     return file.name if sum(other.name == file.name for other in files) == 1 else str(file)

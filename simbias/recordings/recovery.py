@@ -1,4 +1,4 @@
-"""Whether parameters come back: recordings of models with drawn parameters, identified."""
+"""Parameter recovery: identification from simulated recordings of models with drawn parameters."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from simbias.simulation.open_loop import PredictionModel, Windows, predict
 from simbias.trial.study import Study
 
 ROBOTS = 10
-CHANCE = 0.1  # probability below which so few 90% intervals hold the truth that they are too narrow
+CHANCE = 0.1  # significance level for too few 90% intervals that contain the truth
 
 
 class Recovery(NamedTuple):
-    """How a parameter came back, over robots that were drawn from what is known."""
+    """How well a parameter was recovered, over robots drawn from current knowledge."""
 
     name: str
     unit: str
     error: float  # median distance from the truth, in standard deviations of the prior
-    deviation: float  # median deviation of the posterior, likewise
-    held: float  # share of 90% intervals that hold the truth
-    doubt: str  # why it does not come back; "" if it does
+    deviation: float  # median deviation of the posterior, in standard deviations of the prior
+    held: float  # share of 90% intervals that contain the truth
+    doubt: str  # why it is not recovered; "" if it is
 
 
 class Take(NamedTuple):
@@ -38,9 +38,9 @@ class Take(NamedTuple):
 
     start: Array  # (n,)
     inputs: Array  # (T, m)
-    times: Array | None = None  # (k,) s after the start at which states are measured; None: in each frame
-    recording: str = ""  # that it is a piece of; "": it is one itself
-    continues: bool = False  # as `Rollout.continues`
+    times: Array | None = None  # (k,) measurement times in s after the start; None: in each frame
+    recording: str = ""  # the recording it is a piece of; "": its own
+    continues: bool = False  # as in `Rollout.continues`
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # of small matrices: threads cost more than they save
@@ -51,9 +51,9 @@ def recover(
     robots: int = ROBOTS,
     progress: Callable[[str], None] = lambda words: None,
 ) -> list[Recovery]:
-    """Draw robots from what is known, record each in all takes with white noise (n,), and identify it.
+    """Draw robots from current knowledge, record each in all takes with white noise (n,), and identify it.
 
-    A recording ends where the robot would fail.
+    A recording ends when the robot would fail.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def recover(
     assert isinstance(posterior, Posterior)
     prior = posterior.fit(study.nominal, [])
     known = prior if isinstance(prior, Identified) else Identified.of_prior(prior)
-    (rng,) = np.random.default_rng(study.seed).spawn(1)  # the search for the mode has the stream itself
+    (rng,) = np.random.default_rng(study.seed).spawn(1)  # the search for the mode uses the stream itself
     parameters = known.parameters
     own = np.array([parameter.of_recording for parameter in parameters], bool)
     true, modes, deviations, found = [], [], [], []
@@ -106,9 +106,9 @@ def recover(
 
 
 def doubt(found: Sequence[Finding], held: int) -> str:
-    """Why a parameter does not come back, from a finding of each robot; "" if it does.
+    """Why a parameter is not recovered, from its finding for each robot; "" if it is.
 
-    It is not trusted in most of them, or so few of their 90% intervals hold the truth.
+    It is not trusted for most robots, or too few of the 90% intervals contain the truth.
     """
     doubts = Counter("; ".join(each.doubts) for each in found)
     if 2 * doubts.pop("", 0) <= len(found):
@@ -128,7 +128,7 @@ def record(
     x = x[: frames + 1]
     at = study.task.time_step * np.arange(frames + 1)
     times = at if take.times is None else take.times[take.times <= at[-1]]
-    if not len(times):  # it fails before it is measured
+    if not len(times):  # it fails before the first measurement
         return Rollout(x[:1], take.inputs[:0])
     e = noise * rng.standard_normal((len(times), len(noise)))
     seen = [np.interp(times, at, x[:, i]) + e[:, i] for i in range(len(noise))]

@@ -9,7 +9,7 @@ from simbias.recordings import plots, words
 from simbias.recordings.assessment import Assessment
 from simbias.recordings.excitation import Excitation
 
-MOST = 5  # parts that are drawn
+MOST = 5  # maximum number of drawn parts
 
 
 def report(assessment: Assessment, excitation: Excitation | str, notes: Sequence[str] = ()) -> str:
@@ -21,7 +21,7 @@ def report(assessment: Assessment, excitation: Excitation | str, notes: Sequence
 
 
 def _parts(assessment: Assessment, excitation: Excitation | str, notes: Sequence[str]) -> Iterator[str]:
-    """From the verdict to the predictions."""
+    """The parts of the page, from the verdict to the predictions."""
     yield paragraph(words.verdict(assessment))
     yield heading("Which parameter may be trusted?")
     yield table(words.PARAMETER_NAMES, words.parameter_rows(assessment))

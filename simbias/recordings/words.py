@@ -24,10 +24,10 @@ PARAMETER_NAMES = (
 )
 ERROR_NAMES = ("horizon (s)", "predictions", "over nominal", "90% region holds")
 MEAN = "in the geometric mean over states and horizons"
-NARROWER = 0.8  # times the deviations, below which windows of another length are worth a trial
-FAR_LARGER = 10.0  # times what is explained: few models lack as much, as a spring or friction
-OFTEN = 0.1  # share of states beyond failure criteria, where recordings of failures end
-WORTH = 0.1  # share by which an experiment has to narrow a parameter to be named
+NARROWER = 0.8  # ratio of deviations below which another window length is worth trying
+FAR_LARGER = 10.0  # times the explained errors: rare even without a spring or friction in the model
+OFTEN = 0.1  # share of states beyond failure criteria; recordings of failures end there
+WORTH = 0.1  # share by which an experiment must narrow a parameter for it to be named
 REMEDY = "measure what you can otherwise (masses by weighing or another load), and declare it"
 SHORTER = "take a smaller nominal.sub_step or, in an MJCF, timestep"
 MEND = "errors are larger than the model explains, so mend the recordings or the model first"
@@ -37,7 +37,7 @@ TRUST = (
 
 
 def verdict(assessment: Assessment) -> str:
-    """How well the model predicts what it was not fitted to, in a sentence."""
+    """How well the model predicts held-out data, in a sentence."""
     ratios = assessment.ratios
     apart = f" (each part by itself {min(ratios.values()):.2f} to {max(ratios.values()):.2f})"
     each = apart if len(ratios) > 1 else ""
@@ -71,7 +71,7 @@ def _lacking(assessment: Assessment) -> str:
 
 
 def _mistakes(assessment: Assessment) -> str:
-    """A sentence for each sign or column that seems to be mistaken; else ""."""
+    """A sentence for each likely mistake in signs or columns; else ""."""
     said = ""
     for words, times, recordings in assessment.mistakes:
         where = f" (in {', '.join(recordings)} alone)" if recordings else ""
@@ -82,7 +82,7 @@ def _mistakes(assessment: Assessment) -> str:
 
 
 def _units(assessment: Assessment) -> str:
-    """A sentence if errors are far larger than explained, and states beyond what the task allows; else ""."""
+    """A sentence if errors are far larger than explained and states exceed what the task allows; else ""."""
     times, _ = assessment.unexplained or (0.0, 0.0)
     if times < FAR_LARGER or (share := assessment.failing) < OFTEN:
         return ""
@@ -90,7 +90,7 @@ def _units(assessment: Assessment) -> str:
 
 
 def parameter_rows(assessment: Assessment) -> Iterator[Sequence[str]]:
-    """A row for each parameter; its last cell answers whether it may be trusted."""
+    """A row for each parameter; its last cell states whether it may be trusted."""
     for finding in assessment.findings:
         estimate, (low, high) = finding.estimate, finding.prior_interval
         yield (
@@ -106,7 +106,7 @@ def parameter_rows(assessment: Assessment) -> Iterator[Sequence[str]]:
 
 
 def own_lines(assessment: Assessment) -> Iterator[str]:
-    """A line for each recording that has something of its own, as zeros or a load."""
+    """A line for each recording with specific parameters, such as zeros or a payload."""
     for name, estimates in assessment.own_estimates.items():
         told = [f"{e.name} {e.value:.4g} ({e.low:.4g} .. {e.high:.4g}) {e.unit}" for e in estimates]
         if told:
@@ -119,7 +119,7 @@ def error_names(assessment: Assessment) -> list[str]:
 
 
 def error_rows(assessment: Assessment) -> Iterator[Sequence[str]]:
-    """A row for each horizon: ratio, coverage, and of each state the errors of both models."""
+    """A row for each horizon: ratio, coverage, and the errors of both models for each state."""
     for prediction in assessment.predictions:
         nominal, identified = prediction.rmse()
         coverage = prediction.coverage()
@@ -152,7 +152,7 @@ def undetermined_lines(assessment: Assessment) -> Iterator[str]:
 
 
 def reach_lines(assessment: Assessment) -> Iterator[str]:
-    """A line for each part that reaches beyond what its model was learned from."""
+    """A line for each part that extends beyond its model's training data."""
     for name, reaches in assessment.reaches.items():
         told = [
             f"{each.name} goes from {each.range[0]:.3g} to {each.range[1]:.3g} {each.unit}, but the model "
@@ -165,7 +165,7 @@ def reach_lines(assessment: Assessment) -> Iterator[str]:
 
 
 def advice(assessment: Assessment, excitation: Excitation | str) -> Iterator[str]:
-    """Sentences about steps of integration, windows, and what the next trajectory should narrow."""
+    """Sentences about integration steps, windows, and what the next trajectory should determine."""
     stepped = [finding.estimate.name for finding in assessment.findings if STEP_DOUBT in finding.doubts]
     if stepped:
         yield f"Shorter steps of integration would move {', '.join(stepped)}: {SHORTER}."
@@ -182,7 +182,7 @@ def advice(assessment: Assessment, excitation: Excitation | str) -> Iterator[str
         return
     gained = 1.0 - excitation.deviations / before
     own = np.array([finding.prior.of_recording for finding in assessment.findings], bool)
-    gained[own] = 0.0  # of no use to others
+    gained[own] = 0.0  # not useful for other recordings
     worth = gained > WORTH
     told = [f"{names[i]} (by {100 * gained[i]:.0f}% at most)" for i in np.argsort(-gained) if worth[i]]
     seconds = excitation.rollout.frames * assessment.task.time_step
