@@ -1,4 +1,4 @@
-"""From overrides to a checked composition, and to components."""
+"""From overrides to a checked composition, and on to components."""
 
 from simbias.config.composition import Composition, Variations, compose
 from simbias.config.resources import options, sweeps

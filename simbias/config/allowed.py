@@ -1,8 +1,8 @@
-"""Modules that a config may name: what `_target_` names is imported, and what is imported may do anything.
+"""Modules that a config may name: `_target_` imports its module, and imported code may do anything.
 
-A config may come from somebody else. So besides simbias's own modules it may name only those that lie in, or
-directly beside, a folder of configs that the user named (`--config-dir`), and those whose prefix the user
-allowed, by `--allow` or by `allow` in that folder's `components.yaml`.
+A config may come from somebody else. Besides simbias's own modules, it may therefore name only modules in, or
+directly beside, a folder of configs named by the user (`--config-dir`), and modules with a prefix that the
+user allowed, by `--allow` or by `allow` in that folder's `components.yaml`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ TARGET = "_target_"  # the key that names a component's class
 class Own(NamedTuple):
     """The user's own code and files that a config may name."""
 
-    modules: tuple[str, ...] = ()  # of which it may name classes
+    modules: tuple[str, ...] = ()  # modules whose classes it may name
     folders: tuple[str, ...] = ()  # of configs, absolute
 
 
@@ -44,9 +44,9 @@ def check_allowed(module: str, key: str, allowed: Sequence[str]) -> None:
 
 
 def prefixes(folders: Sequence[Path], allow: Sequence[str]) -> tuple[str, ...]:
-    """The prefixes that the user allows, and those that the folders' `components.yaml` do.
+    """The prefixes allowed by the user, and by the folders' `components.yaml`.
 
-    A ConfigError names what is no module's name, or a file that is not as it should be.
+    A ConfigError names an invalid module name or an invalid file.
     """
     found = [_module(name, "--allow") for name in allow]
     for folder in folders:
@@ -58,7 +58,7 @@ def _of_file(file: Path) -> list[str]:
     """The prefixes that a folder's file allows; none if there is no file."""
     if not file.is_file():
         return []
-    import yaml  # lazily: --help needs none
+    import yaml  # lazily: --help does not need it
 
     try:
         content: Any = yaml.safe_load(file.read_text(encoding="utf-8"))
@@ -68,7 +68,7 @@ def _of_file(file: Path) -> list[str]:
         not isinstance(content, Mapping)
         or content.keys() != {"allow"}
         or not isinstance(content["allow"], list)
-    ):  # what it holds is not shown: aliases of aliases may mean more than the memory holds
+    ):  # its content is not shown: nested aliases may expand beyond the memory
         got = f"the keys {quote(list(content))}" if isinstance(content, Mapping) else type(content).__name__
         raise ConfigError(str(file), f"must be `allow: [module, ...]`, got {got}")
     return [_module(name, f"{file}: allow") for name in content["allow"]]
@@ -82,10 +82,10 @@ def _module(name: Any, key: str) -> str:
 
 
 def own(config: Any, folders: Sequence[Path], prefixes: Sequence[str]) -> Own:
-    """The modules that a config may name: of the prefixes, and those in, or beside, a folder of configs.
+    """The modules that a config may name: with the prefixes, and those in or beside a folder of configs.
 
-    No deeper: an environment with everything that is installed may lie there too. From then on, Python finds
-    modules there, behind all others.
+    Subfolders are not searched, as an environment with installed packages may lie there. The folders are
+    appended to Python's module path.
     """
     homes = [home for folder in folders for home in (folder.resolve(), folder.absolute().parent.resolve())]
     sys.path += [path for path in dict.fromkeys(map(str, homes)) if path not in sys.path]
@@ -95,12 +95,12 @@ def own(config: Any, folders: Sequence[Path], prefixes: Sequence[str]) -> Own:
 
 
 def targets(config: Any) -> Iterator[Any]:
-    """Classes that a config names, anywhere in it."""
+    """The class names anywhere in a config."""
     return (value for path, value in leaves(config) if path[-1:] == (TARGET,))
 
 
 def leaves(config: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[tuple[Any, ...], Any]]:
-    """The values in nested mappings and lists, each after the keys and places that lead to it."""
+    """The values in nested mappings and lists, each with the path of keys and indices that leads to it."""
     if isinstance(config, Mapping | list):
         for key, value in config.items() if isinstance(config, Mapping) else enumerate(config):
             yield from leaves(value, (*path, key))
@@ -115,7 +115,7 @@ def _homes(name: str) -> set[Path]:
     invalidate_caches()  # a notebook may have written it a moment ago
     try:
         spec = find_spec(name)
-    except (ImportError, ValueError):  # as of __main__
+    except (ImportError, ValueError):  # for example, for __main__
         return set()
     if spec is None:
         return set()

@@ -37,15 +37,16 @@ VALUES = {
     "policy_test": NotRequired[PolicyTest],
     "budget": NotRequired[Budget],
 }
-OF_ROBOTS = ("hardware", "identification", "samples", "bias")  # groups that know nothing of a task's targets
-OF_RECORDINGS = ("hardware", "identification")  # groups that recordings need beside a task and a model
-BESIDE_STUDIES = ("tracking", *OF_SWEEPS)  # groups of which a study has no component
+OF_ROBOTS = ("hardware", "identification", "samples", "bias")  # groups built without a task's targets
+OF_RECORDINGS = ("hardware", "identification")  # groups that recordings need in addition to task and model
+BESIDE_STUDIES = ("tracking", *OF_SWEEPS)  # groups without a component in a study
 
 
 def build(composition: Composition, groups: Collection[str] | None = None) -> Study:
     """Construct the components of a study.
 
-    With `groups`, those of its task, its model and these alone: others are None, and need not fit the task.
+    With `groups`, only task, model and these groups are built; the others are None, and need not fit the
+    task.
 
     Raises
     ------
@@ -95,7 +96,7 @@ def build(composition: Composition, groups: Collection[str] | None = None) -> St
 
 
 def _check_known(study: Study, known: Any) -> None:
-    """Refuse a posterior that is of another nominal model than the study's."""
+    """Refuse a posterior of a nominal model other than the study's."""
     if isinstance(known, Mapping) and known.get("model") not in (None, model_digest(study)):
         problem = (
             "is of a nominal model with other values or files: identify again (or leave out its `model`)"
@@ -104,20 +105,20 @@ def _check_known(study: Study, known: Any) -> None:
 
 
 def build_task(config: Any, own: Own) -> Task:
-    """A task from its config; errors as of `construct`, also of an attribute of another type or shape."""
+    """A task from its config; errors as for `construct`, also for attributes of wrong type or shape."""
     task: Task = construct(config, Task, "task", own)
     try:
         _convert(task)
         check_quantities(task)
-    except Exception as error:  # also of an own class that lacks them, or whose properties raise
+    except Exception as error:  # a custom class may lack them, or its properties may raise
         raise ConfigError("task", words(error)) from error
     return task
 
 
 def _convert(task: Task) -> None:
-    """Make a task's sequences tuples and arrays of floats: authors write lists and integers, too.
+    """Convert a task's sequences to tuples and float arrays, as authors may write lists and integers.
 
-    What cannot be set, as a property, stays a list or integers. A ValueError names what is neither.
+    Attributes that cannot be set, such as properties, stay unchanged. A ValueError names invalid ones.
     """
 
     def keep(name: str, expected: str, convert: Callable[[Any], Any]) -> None:
@@ -155,19 +156,19 @@ def _numbers(count: int, given: Any) -> Array:
 
 
 def service(composition: Composition, group: str, contract: type) -> Any:
-    """Construct what studies run with, as an engine or a store of trials; errors as of `build`."""
+    """Construct a service for studies, such as an engine or a store of trials; errors as for `build`."""
     if group not in composition.config:
         raise ConfigError(group, "missing")
     return construct(composition.config[group], contract, group, composition.own)
 
 
 def _nominal(config: Any, own: Own, task: Task) -> Nominal:
-    """The nominal model for a task; errors as of `construct`."""
+    """The nominal model for a task; errors as for `construct`."""
     nominal: Nominal = construct(config, Nominal, "nominal", own, task=task.without_targets)
     return nominal
 
 
 def _hardware(config: Any, own: Own, task: Task) -> Hardware:
-    """The hardware for a task; errors as of `construct`."""
+    """The hardware for a task; errors as for `construct`."""
     hardware: Hardware = construct(config, Hardware, HARDWARE, own, task=task.without_targets)
     return hardware

@@ -11,7 +11,7 @@ from functools import cache
 from typing import Any, NotRequired, Required, get_type_hints
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
-from typing_extensions import TypedDict  # pydantic takes only this one before Python 3.12
+from typing_extensions import TypedDict  # pydantic accepts only this one before Python 3.12
 
 from simbias.config.allowed import NOTHING, TARGET, Own, check_allowed
 from simbias.config.renamed import unknown
@@ -20,18 +20,18 @@ from simbias.core.files import FOLDERS
 from simbias.core.messages import quote, with_type, words
 
 TYPOS = ("extra_forbidden", "unexpected_keyword_argument")  # pydantic's words for an unknown key
-ALTERNATIVE = re.compile(r"(list|dict)\[.+\]|constrained-\w+")  # of types among several: no key
-NEAR = 0.8  # difflib's ratio, from which a key is another one, mistyped
+ALTERNATIVE = re.compile(r"(list|dict)\[.+\]|constrained-\w+")  # names of type alternatives, not keys
+NEAR = 0.8  # difflib's ratio from which a key is taken for a typo of another
 
-PROVIDED = frozenset({"task", "hardware_from"})  # what constructors are given beside their config,
-BESIDE = {"task": frozenset[str](), "policy": PROVIDED | {"nominal"}}  # of these groups
+PROVIDED = frozenset({"task", "hardware_from"})  # arguments of constructors in addition to their config,
+BESIDE = {"task": frozenset[str](), "policy": PROVIDED | {"nominal"}}  # for these groups
 
 
 def construct(config: Any, contract: type, key: str, own: Own = NOTHING, **provided: Any) -> Any:
-    """Construct what `_target_` names; `provided` are arguments that it gets if it has them.
+    """Construct the class in `_target_`; it gets those `provided` arguments that it accepts.
 
-    Its module is simbias's or of `own.modules`; files that it names are looked for in `own.folders`. A
-    ConfigError names `key` and the argument, also for what the constructor raises.
+    Its module must be simbias's or in `own.modules`; files are looked up in `own.folders`. A ConfigError
+    names `key` and the argument, also if the constructor raises.
     """
     component = component_class(config, key, own.modules)
     if not issubclass(component, contract):
@@ -45,7 +45,7 @@ def construct(config: Any, contract: type, key: str, own: Own = NOTHING, **provi
         return component(**arguments, **{k: v for k, v in provided.items() if k in parameters})
     except KeyboardInterrupt:
         raise
-    except BaseException as error:  # also SystemExit, and by what other libraries end their tasks
+    except BaseException as error:  # also SystemExit, and what other libraries raise to end tasks
         raise ConfigError(key, words(error)) from error
 
 
@@ -62,7 +62,7 @@ def component_class(config: Any, key: str, allowed: Sequence[str] = ()) -> Any:
         component = getattr(importlib.import_module(module_name), name)
     except KeyboardInterrupt:
         raise
-    except BaseException as error:  # a module of one's own may raise anything, and may exit
+    except BaseException as error:  # a custom module may raise anything, or exit
         kind = "" if isinstance(error, ImportError | AttributeError) else f"{type(error).__name__}: "
         raise ConfigError(
             f"{key}.{TARGET}", f"cannot import {quote(target)} ({kind}{words(error)})"
@@ -79,10 +79,10 @@ def constructor_arguments(
     provided: frozenset[str] = frozenset(),
     folders: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """The config's values, converted to the types that the constructor asks for.
+    """The config's values, converted to the types of the constructor's annotations.
 
-    Relative files are replaced by those of the folders of configs, where these have them. Errors as of
-    `validate`, and of a constructor that does not name all of its arguments.
+    Relative file names are resolved in the folders of configs if they exist there. Errors as for `validate`;
+    also if a constructor does not name all its arguments.
     """
     parameters = constructor_parameters(component)
     for parameter in parameters.values():
@@ -92,7 +92,7 @@ def constructor_arguments(
     given = {name: value for name, value in config.items() if name != TARGET}
     try:
         schema = _schema(component, provided)
-    except Exception as error:  # of annotations that name what is imported for type checkers alone, say
+    except Exception as error:  # for example, annotations imported only for type checkers
         problem = f"the annotations of {component.__name__}'s constructor cannot be read ({with_type(error)})"
         raise ConfigError(key, problem) from error
     return _converted(given, schema, key, parameters, folders)
@@ -106,7 +106,7 @@ def constructor_parameters(component: Any) -> Mapping[str, inspect.Parameter]:
 
 @cache
 def _schema(component: Any, provided: frozenset[str]) -> TypeAdapter:
-    """The schema of a constructor's arguments, but for those that are provided."""
+    """The schema of a constructor's arguments, except provided ones."""
     hints = get_type_hints(component.__init__, include_extras=True)
     fields = {
         name: (Required if parameter.default is parameter.empty else NotRequired)[hints.get(name, Any)]
@@ -127,7 +127,7 @@ def _adapter(fields: dict[str, Any]) -> TypeAdapter:
 
 @cache
 def _own_adapter(fields: tuple[tuple[str, Any], ...]) -> TypeAdapter:
-    """The schema of fields of ours; to make one takes longer than to use it."""
+    """The cached schema of our own fields; making one takes longer than using it."""
     return _adapter(dict(fields))
 
 
@@ -143,19 +143,19 @@ def _converted(
     known: Collection[str],
     folders: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """The values as the adapter converts them, whose names are known."""
+    """The values converted by the adapter; `known` are valid names."""
     try:
         converted = dict(adapter.validate_python(values, context={FOLDERS: folders}))
     except ValidationError as error:
         raise _in_one_line(error, key, known) from error
-    except Exception as error:  # of the system, where a path cannot even be asked for
+    except Exception as error:  # a system error, if a path cannot even be queried
         raise ConfigError(key, reason(error)) from error
     _check_numbers(values, converted, key)
     return converted
 
 
 def _check_numbers(given: Any, converted: Any, key: str) -> None:
-    """Refuse true and false where a number is asked for: pydantic takes them for 1 and 0."""
+    """Refuse true and false where a number is expected, since pydantic reads them as 1 and 0."""
     if isinstance(given, bool) and isinstance(converted, float | int) and not isinstance(converted, bool):
         raise ConfigError(key, f"must be a number, got {str(given).lower()}")
     if isinstance(given, Mapping):
@@ -168,16 +168,16 @@ def _check_numbers(given: Any, converted: Any, key: str) -> None:
 
 
 def _path(key: str, error: Mapping[str, Any]) -> str:
-    """The full name of the key that pydantic's error is about."""
+    """The full name of the key in pydantic's error."""
     names = (str(part) for part in error["loc"])
     return ".".join([key] * bool(key) + [name for name in names if not ALTERNATIVE.fullmatch(name)])
 
 
 def _in_one_line(error: ValidationError, key: str, known: Collection[str]) -> ConfigError:
-    """The first of pydantic's errors, as one line that names the key; of typos in known names, the name."""
+    """The first of pydantic's errors in one line that names the key and, for a typo, the intended name."""
     errors = error.errors(include_url=False)
     of_one = [each for each in errors if each["loc"][:1] == errors[0]["loc"][:1]]
-    deepest = max(of_one, key=lambda each: len(each["loc"]))  # of the alternative that was meant
+    deepest = max(of_one, key=lambda each: len(each["loc"]))  # the error of the intended alternative
     first = next((each for each in errors if each["type"] in TYPOS), deepest)
     typos = [_path(key, each) for each in errors if each["type"] in TYPOS]
     where = _path(key, first)
@@ -187,7 +187,7 @@ def _in_one_line(error: ValidationError, key: str, known: Collection[str]) -> Co
             hint = "; quotes keep an expression with commas together"
         elif near := get_close_matches(where.removeprefix(f"{key}."), known, 1, NEAR):
             hint = f"; is it {near[0]}?"
-        elif where.count(".") == 1:  # of a component that took the place of a preset's
+        elif where.count(".") == 1:  # for a component that replaced a preset's
             it, leaves = ("it", "leaves") if len(typos) == 1 else ("them", "leave")
             hint = f"; if a preset sets {it}, {' '.join(f'~{each}' for each in typos)} {leaves} {it} out"
         return unknown([where], where, f"no such key{hint}")

@@ -1,4 +1,4 @@
-"""From overrides to a plain, resolved config; what is wrong with them, in one line."""
+"""From overrides to a plain, resolved config, with one-line errors."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ if TYPE_CHECKING:
     from hydra.core.override_parser.types import Override
     from omegaconf import DictConfig
 
-SCHEME = 2  # of identities: raised when all of them change
-OF_SWEEPS = ("engine", "sweep")  # groups that no trial knows
+SCHEME = 2  # of identities: incremented when all of them change
+OF_SWEEPS = ("engine", "sweep")  # groups that do not belong to a trial
 NOT_HASHED = ("tracking", "experiment_timeout", "policy_test", *OF_SWEEPS)  # do not affect a trial's result
 
 
 @dataclass(frozen=True)
 class Composition:
-    """A composed config: plain containers, interpolations resolved."""
+    """A composed config: plain containers with resolved interpolations."""
 
     config: Mapping[str, Any]
     choices: Mapping[str, str]  # group -> chosen option
-    own: Own = field(default=NOTHING, compare=False)  # what it may name of the user's
+    own: Own = field(default=NOTHING, compare=False)  # the user's own code and files that it may name
     from_environment: tuple[str, ...] = field(default=(), compare=False)  # keys whose values may be secrets
 
     @cached_property
@@ -57,11 +57,11 @@ class Composition:
 
     @cached_property
     def group_hash(self) -> str:
-        """Identity of what repeated trials share: a hash of all but the seed."""
+        """Identity shared by repeated trials: a hash of everything except the seed."""
         return _sha({key: value for key, value in self.identity_fields.items() if key != "seed"})
 
     def hash_with(self, changes: Mapping[str, Any]) -> str:
-        """Identity of a trial with other values outside of components, as of its seed."""
+        """Identity of a trial with other values outside of components, such as its seed."""
         return _sha({**self.identity_fields, **changes})
 
     @property
@@ -75,9 +75,9 @@ class Composition:
 def compose(
     overrides: Sequence[str] = (), config_dir: Path | str | None = None, allow: Sequence[str] = ()
 ) -> Composition:
-    """Compose the config as Hydra does; `config_dir` is searched for groups, options and sweeps too.
+    """Compose the config with Hydra; `config_dir` is also searched for groups, options and sweeps.
 
-    It may name classes of simbias, of modules beside `config_dir` and of those that `allow` names.
+    It may name classes of simbias, of modules beside `config_dir` and of modules in `allow`.
 
     Raises
     ------
@@ -88,7 +88,7 @@ def compose(
 
 
 class Variations:
-    """Compositions that differ in a few settings, the same as if these were further overrides.
+    """Compositions that differ in a few settings, as if these were additional overrides.
 
     Hydra composes once for each choice of options, which takes 60 ms; values are merged in a few.
     """
@@ -103,7 +103,7 @@ class Variations:
             if not os.path.isdir(config_dir):
                 raise ConfigError("--config-dir", f"no such folder: {config_dir}")
             check_no_primary(Path(config_dir))
-        # A dry run needs no + where a sweep's file leaves the key out.
+        # A dry run needs no + if a sweep's file lacks the key.
         self.overrides = [re.sub(r"^\+{0,2}(?=sweep\.dry_run=)", "++", each) for each in overrides]
         self._config_dir = None if config_dir is None else str(Path(config_dir).resolve())
         self._folders = [] if config_dir is None else [Path(config_dir)]
@@ -113,16 +113,16 @@ class Variations:
     def composition(self, settings: Mapping[str, Any]) -> Composition:
         """The composition with options (`bias`), values (`bias.d`) and new values (`+hardware.noise.x`) set.
 
-        Errors as of `compose`.
+        Errors as for `compose`.
         """
         with errors_in_one_line(self.overrides):
             config, choices = self._merged(self._split, settings, grid=True)
             return self._finished(config, choices, _from_environment(config))
 
     def trial(self, settings: Mapping[str, Any]) -> Composition:
-        """The part of this composition that concerns a single trial; errors as of `compose`.
+        """The part of this composition that concerns a single trial; errors as for `compose`.
 
-        The grid may be larger than all else, so it is neither composed nor copied again.
+        The grid may be larger than everything else, so it is neither composed nor copied again.
         """
         from omegaconf import flag_override
 
@@ -130,13 +130,13 @@ class Variations:
             config, choices = self._merged(self._split_of_trials, settings, grid=False)
             secret = _from_environment(config)
             with flag_override(config, ["struct", "no_deepcopy_set_nodes"], [False, True]):
-                config["sweep"] = self._grid  # what a value refers to by interpolation
+                config["sweep"] = self._grid  # for interpolations that refer to it
             return self._finished(config, choices, secret, OF_SWEEPS)
 
     def _merged(
         self, split: _Split, settings: Mapping[str, Any], grid: bool
     ) -> tuple[DictConfig, Mapping[str, str]]:
-        """The config, interpolations not yet resolved, and the choices of groups."""
+        """The config with unresolved interpolations, and the choices of groups."""
         by_hydra = partial(composed, config_dir=self._config_dir, grid=grid, files=self._files)
         groups = by_hydra(tuple(split.structure)).choices if settings else {}
         options = [f"{key}={value}" for key, value in settings.items() if key in groups]
@@ -154,7 +154,7 @@ class Variations:
         from_environment: tuple[str, ...],
         left_out: Sequence[str] = (),
     ) -> Composition:
-        """The composition in plain containers, some groups left out."""
+        """The composition in plain containers, without some groups."""
         from omegaconf import OmegaConf
 
         from simbias.config.components import validate  # lazily, as above
@@ -166,14 +166,14 @@ class Variations:
             else value
             for key, value in values.items()
         }
-        if "seed" in plain:  # one of 1, 01, 1e0 and '1', as trials are told apart by it
+        if "seed" in plain:  # normalise 1, 01, 1e0 and '1', since seeds distinguish trials
             plain |= validate({"seed": plain["seed"]}, {"seed": Seed}, "")
         chosen = {group: option for group, option in choices.items() if group not in left_out}
         return Composition(plain, chosen, own(plain, self._folders, self._allowed), from_environment)
 
     @cached_property
     def _files(self) -> frozenset:
-        """The state of all that Hydra reads."""
+        """The state of all files that Hydra reads."""
         return state(self._read)
 
     @cached_property
@@ -193,9 +193,9 @@ class Variations:
         return self._split_up([text for text, each in pairs if not _is_of_the_grid(each)])
 
     def _split_up(self, overrides: Sequence[str]) -> _Split:
-        """The overrides that Hydra composes, and those that change values of what it composed.
+        """Split into overrides for Hydra, and those that change values in Hydra's result.
 
-        Where one adds or deletes a key, all are Hydra's: their order counts.
+        If one adds or deletes a key, all go to Hydra, as their order matters.
         """
         from hydra.core.override_parser.types import OverrideType
 
@@ -214,10 +214,10 @@ class Variations:
 
 
 class _Split(NamedTuple):
-    """Overrides by who sees to them."""
+    """Overrides by who handles them."""
 
-    structure: Sequence[str]  # Hydra
-    values: Sequence[tuple[str, Any]]  # that are set, in this order, in what it composed
+    structure: Sequence[str]  # handled by Hydra
+    values: Sequence[tuple[str, Any]]  # set in this order in Hydra's result
 
 
 def _sha(fields: Mapping[str, Any]) -> str:
@@ -227,13 +227,13 @@ def _sha(fields: Mapping[str, Any]) -> str:
 
 
 def _is_of_the_grid(override: Override) -> bool:
-    """Whether an override says what the grid is, not what a trial is; a sweep's file says both."""
+    """Whether an override concerns the grid, not a trial; a sweep's file concerns both."""
     key, within, _ = override.key_or_group.partition(".")
     return key == "sweep" and (bool(within) or not isinstance(override.value(), str))
 
 
 def _from_environment(config: DictConfig) -> tuple[str, ...]:
-    """The keys of what is written down whose values come from environment variables."""
+    """The stored keys whose values come from environment variables."""
     from omegaconf import OmegaConf
 
     found = leaves(OmegaConf.to_container(config, resolve=False))

@@ -1,4 +1,4 @@
-"""Keys that every hardware has beside its constructor's: the conditions of its experiments."""
+"""Keys of every hardware in addition to its constructor's: the conditions of its experiments."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FIELDS = {"safety": NotRequired[Safety], "confirm": NotRequired[bool]}
 
 
 def split(config: Any) -> tuple[Any, dict[str, Any]]:
-    """A hardware's config without these keys, and these alone."""
+    """Split a hardware's config into the rest and these keys."""
     if not isinstance(config, Mapping):
         return config, {}
     own = {key: value for key, value in config.items() if key not in FIELDS}
@@ -32,7 +32,7 @@ def safety(config: Any) -> Safety:
 
 
 def conditions(config: Any, task: Task, timeout: float | None) -> ExperimentConditions:
-    """The conditions in a hardware's config; errors as of `safety`, also on what the task does not have."""
+    """The conditions in a hardware's config; errors as for `safety`, also for unknown quantities."""
     values = ExperimentConditions(timeout, **validate(split(config)[1], FIELDS, HARDWARE))
     try:
         values.safety.bounds(task.without_targets)

@@ -1,4 +1,4 @@
-"""Copies of what Hydra makes and changes, several times as fast as OmegaConf's own."""
+"""Copies of Hydra's mutable results, several times faster than OmegaConf's own."""
 
 from __future__ import annotations
 
@@ -9,5 +9,5 @@ from typing import Any
 
 
 def copies(original: object) -> Callable[[], Any]:
-    """A function that makes copies of an object, as many as asked for; they never leave the process."""
+    """A function that makes copies of an object on demand; they never leave the process."""
     return partial(pickle.loads, pickle.dumps(original))

@@ -1,4 +1,4 @@
-"""A config as Hydra composes it from overrides; what is wrong with them, in one line."""
+"""A config composed by Hydra from overrides, with one-line errors."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from omegaconf import DictConfig
 
 JOBS = ("env", "help", "hydra_help", "hydra_logging", "job_logging", "launcher", "output", "sweeper")
-WITHOUT_JOBS = [f"hydra/{group}=[]" for group in JOBS]  # which Hydra runs none of here: a fourth of its time
+WITHOUT_JOBS = [f"hydra/{group}=[]" for group in JOBS]  # no jobs run here; saves a fourth of Hydra's time
 
 ONE_OPTION = "takes one option; of presets alone there may be several"
 HINTS = {"identification": "; a posterior knows delays, too: identification.motors={NAME: {delay: 0.01}}"}
@@ -30,13 +30,13 @@ SEVERAL = "has several values: a list needs brackets, many trials are a sweep (+
 class Composed(NamedTuple):
     """A composition by Hydra."""
 
-    config: Callable[[], Any]  # a copy, interpolations not yet resolved
+    config: Callable[[], Any]  # makes a copy with unresolved interpolations
     choices: Mapping[str, str]
 
 
 @lru_cache(maxsize=2000)
 def composed(overrides: Sequence[str], config_dir: str | None, grid: bool, files: frozenset) -> Composed:
-    """Hydra's composition, with or without the grid; `files` is the state of what it reads."""
+    """Hydra's composition, with or without the grid; `files` is the state of the files it reads."""
     import hydra
     from omegaconf import OmegaConf, open_dict
 
@@ -48,7 +48,7 @@ def composed(overrides: Sequence[str], config_dir: str | None, grid: bool, files
         escaped = config_dir.replace("'", "\\'")
         overrides = [*overrides, f"hydra.searchpath=['{option_files.SCHEME}://{escaped}']"]
     given = parsed(overrides)
-    values = {each.key_or_group: each.value() for each in given}  # the last of each
+    values = {each.key_or_group: each.value() for each in given}  # the last value of each
     folders = [resource_folder("conf"), *([] if config_dir is None else [Path(config_dir)])]
     for group, value in values.items():
         if isinstance(value, list) and group != "preset" and any((each / group).is_dir() for each in folders):
@@ -62,7 +62,7 @@ def composed(overrides: Sequence[str], config_dir: str | None, grid: bool, files
         forget_sweeps()
     runtime: dict[str, str] = dict(config.hydra.runtime.choices)
     choices = {group: option for group, option in runtime.items() if not group.startswith("hydra/")}
-    if isinstance(presets := values.get("preset"), list):  # of which Hydra does not tell
+    if isinstance(presets := values.get("preset"), list):  # not reported by Hydra
         choices["preset"] = ",".join(map(str, presets))
     with open_dict(config):
         del config["hydra"]
@@ -71,7 +71,7 @@ def composed(overrides: Sequence[str], config_dir: str | None, grid: bool, files
 
 
 def _noise_of_hardware(*, _root_: DictConfig) -> Any:
-    """Variances that the hardware declares; a class of one's own may take a number by that name."""
+    """Variances declared by the hardware; a custom class may use the name for a number."""
     from omegaconf import OmegaConf
 
     declared = OmegaConf.select(_root_, "hardware.noise")
@@ -79,7 +79,7 @@ def _noise_of_hardware(*, _root_: DictConfig) -> Any:
 
 
 def set_value(config: DictConfig, key: str, value: Any) -> None:
-    """Set a value; a key that the config lacks begins with +, or is within a whole mapping."""
+    """Set a value; a new key begins with +, or is part of a whole mapping."""
     from omegaconf import OmegaConf
     from omegaconf.errors import ConfigAttributeError, ConfigKeyError
 
@@ -105,7 +105,7 @@ def _by_hydra(lines: Sequence[str]) -> DictConfig:
 
 
 def _opened(given: Sequence[Override]) -> list[str]:
-    """Overrides as lines; those that set a mapping that there is may also add keys to it."""
+    """Overrides as lines; those that set an existing mapping may also add keys to it."""
     from omegaconf import OmegaConf
 
     lines = [(str(each.input_line), each.key_or_group, each.value()) for each in given]
@@ -118,7 +118,7 @@ def _opened(given: Sequence[Override]) -> list[str]:
 
 
 def _is_whole(key: str, value: Any) -> bool:
-    """Whether a mapping is set, as by `hardware.noise={force_variance: 0.1}`: components know its keys."""
+    """Whether a whole mapping is set, as in `hardware.noise={force_variance: 0.1}`."""
     return isinstance(value, Mapping) and "." in key and not key.startswith("sweep.")
 
 
@@ -131,7 +131,7 @@ def parsed(overrides: Sequence[str]) -> list[Override]:
 
 @contextmanager
 def errors_in_one_line(overrides: Sequence[str]) -> Iterator[None]:
-    """Hydra's, OmegaConf's and the system's errors are one line that names the key or the overrides."""
+    """Convert errors of Hydra, OmegaConf and the system to one line that names the key or the overrides."""
     from hydra.errors import HydraException
     from omegaconf.errors import OmegaConfBaseException
 
@@ -143,7 +143,7 @@ def errors_in_one_line(overrides: Sequence[str]) -> Iterator[None]:
         raise
     except (HydraException, OmegaConfBaseException, UserWarning) as error:
         raise _in_one_line(error) from error
-    except Exception as error:  # of a file or a value; Hydra raises others than its own, too
+    except Exception as error:  # of a file or a value; Hydra also raises other types
         raise ConfigError(" ".join(overrides), reason(error)) from error
 
 
@@ -152,7 +152,7 @@ def _in_one_line(error: Exception) -> ConfigError:
     from hydra.errors import MissingConfigException, OverrideParseException
     from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
-    in_a_list = str(error).startswith("In 'config'")  # of presets, of which Hydra tells no options
+    in_a_list = str(error).startswith("In 'config'")  # an error in presets, for which Hydra lists no options
     if isinstance(error, MissingConfigException) and (error.options is not None or in_a_list):
         group, _, option = (error.missing_cfg_file or "").rpartition("/")
         choice = f"{group}={option}"
@@ -163,7 +163,7 @@ def _in_one_line(error: Exception) -> ConfigError:
         return _no_such_key(str(error).split("'")[1])
     lines = [line.strip().removesuffix(".") for line in str(error).splitlines() if "hydra.cc" not in line]
     if isinstance(error, OverrideParseException):
-        said = "" if lines[0].startswith("Lexer") else f" ({lines[:2][-1]})"  # else it is the override again
+        said = "" if lines[0].startswith("Lexer") else f" ({lines[:2][-1]})"  # else it repeats the override
         of_ours = "an expression is quoted, as in {x: 'sin(t)'}" if "Unknown function" in said else ""
         return ConfigError(
             error.override, f"cannot be parsed{said}; {of_ours or 'quotes keep a value together'}"
@@ -177,7 +177,7 @@ def _in_one_line(error: Exception) -> ConfigError:
 
 
 def _no_such_key(key: str) -> ConfigError:
-    """The error of a key that the config has not."""
+    """The error for a key that the config lacks."""
     of_an_axis = re.search(r"\.(keys|values|labels)$|\.points(\.|$)", key)
     if re.match(r"sweep\.axes(\.|$)", key) and not of_an_axis:
         axis = key[len("sweep.axes.") :] or "NAME"

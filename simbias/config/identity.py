@@ -1,10 +1,10 @@
-"""Identity of a trial: all of its config that differs from constructors' defaults and affects its result.
+"""Identity of a trial: the part of its config that deviates from defaults and affects its result.
 
-A value that equals its constructor's default is left out. So an option that is added, its default the old
-behaviour, changes the identity of no trial, nor its seed. A deliberate change of behaviour, as of a default,
-raises the component's `version` instead: that gives all trials with this component new identities. Where one
-value of an argument alone behaves otherwise, VERSIONS adds to the version of that value's trials. Arguments
-that affect no result are in the component's `not_hashed`.
+A value that equals its constructor's default is left out. A new option whose default is the old behaviour
+thus changes neither the identity nor the seed of any trial. A deliberate change of behaviour, such as of a
+default, increments the component's `version` instead, which gives all trials with this component new
+identities. If only one value of an argument changes its behaviour, VERSIONS adds to the version for that
+value's trials. Arguments that do not affect results are listed in the component's `not_hashed`.
 """
 
 from __future__ import annotations
@@ -33,28 +33,28 @@ from simbias.config.conditions import HARDWARE, safety, split
 from simbias.core.errors import ConfigError
 from simbias.trial.budget import Budget
 
-LATER = {  # groups that came later, and what does nothing in their place: earlier trials stay what they are
+LATER = {  # later groups, and their neutral options, so that earlier trials keep their identity
     "identification": {TARGET: "simbias.learning.identification.none.NoIdentification"},
     "budget": {"experiments": None, "seconds": None},
 }
 FORMER = {  # classes and arguments whose identities, and so whose seeds, come from an earlier name
-    "ModelBased": "Algorithm1",  # which they are the same as, with the defaults
+    "ModelBased": "Algorithm1",  # same behaviour with the defaults
     "ModelBased.target_cost": "satisfactory_cost",
     "ModelBased.posterior_scale": "retry_spread",
     "ModelBased.model_selection": "by_evidence",
     "ModelBased.lqr_candidates": "design",
     "WindowGP": "HeldOut",
 }
-TOLD_BY_TEXT = PurePath, Enum, UUID, Decimal, date, time, timedelta, bytes, complex  # the same in any process
-VERSIONS = {"DirectSearch.strategy=bayesian": 1}  # of one value of an argument, added to the class's
+TOLD_BY_TEXT = PurePath, Enum, UUID, Decimal, date, time, timedelta, bytes, complex  # process-independent
+VERSIONS = {"DirectSearch.strategy=bayesian": 1}  # for one value of an argument, added to the class's version
 
 
 def identity_fields(
     config: Mapping[str, Any], left_out: Sequence[str], allowed: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """A trial's config, some groups left out, in plain containers.
+    """A trial's config without some groups, in plain containers.
 
-    `allowed` and errors are as of `component_class` and `constructor_arguments`.
+    `allowed` and errors are as for `component_class` and `constructor_arguments`.
     """
     relevant = {
         key: value for key, value in config.items() if key not in left_out and value != LATER.get(key)
@@ -73,7 +73,7 @@ def identity_fields(
 
 
 def _component(config: Mapping[str, Any], key: str, allowed: Sequence[str]) -> dict[str, Any]:
-    """The class, its version beyond the first, and the arguments that are not its defaults."""
+    """The class, its version if not the first, and its non-default arguments."""
     component = component_class(config, key, allowed)
     provided = BESIDE.get(key, PROVIDED)
     arguments = constructor_arguments(component, config, key, provided)
@@ -82,7 +82,7 @@ def _component(config: Mapping[str, Any], key: str, allowed: Sequence[str]) -> d
         for name, parameter in constructor_parameters(component).items()
         if parameter.default is not parameter.empty
     }
-    own = component.__module__.partition(".")[0] == __name__.partition(".")[0]  # whose files may move
+    own = component.__module__.partition(".")[0] == __name__.partition(".")[0]  # simbias's files may move
     name = component.__name__ if own else f"{component.__module__}.{component.__qualname__}"
     changes = [VERSIONS.get(f"{name}.{argument}={value}", 0) for argument, value in arguments.items()]
     version = getattr(component, "version", 1) + sum(changes)
@@ -97,7 +97,7 @@ def _component(config: Mapping[str, Any], key: str, allowed: Sequence[str]) -> d
 
 
 def _deviations(values: Mapping[str, Any], defaults: Mapping[str, Any], key: str) -> dict[str, Any]:
-    """The values that are not the defaults, as plain containers."""
+    """The non-default values, as plain containers."""
     plain = {name: _plain(value, f"{key}.{name}") for name, value in values.items()}
     return {
         name: value for name, value in plain.items() if name not in defaults or not _is(value, defaults[name])
@@ -105,7 +105,7 @@ def _deviations(values: Mapping[str, Any], defaults: Mapping[str, Any], key: str
 
 
 def _is(plain: Any, default: Any) -> bool:
-    """Whether a plain value is that of a default, which may be of any type, as a function."""
+    """Whether a plain value equals a default, which may be of any type, such as a function."""
     try:
         return bool(plain == _plain(default, ""))
     except ConfigError:
@@ -113,7 +113,7 @@ def _is(plain: Any, default: Any) -> bool:
 
 
 def _plain(value: Any, key: str) -> Any:
-    """A value as plain containers; of a dataclass, what deviates from its defaults.
+    """A value as plain containers; for a dataclass, its non-default fields.
 
     A ConfigError names the key of a value of another type, whose text may differ between processes.
     """

@@ -1,4 +1,4 @@
-"""Hydra reads each file of options once: parsing them again takes a third of a composition's time."""
+"""A cache of Hydra's option files: parsing them again would take a third of a composition's time."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class OptionFiles(_Files):
 
     @staticmethod
     def scheme() -> str:
-        """The beginning of such a folder's place in Hydra's search path."""
+        """The scheme of such a folder in Hydra's search path."""
         return SCHEME
 
     def load_config(self, config_path: str) -> ConfigResult:
-        """The content of a file, which Hydra changes as it composes; read again once the file has changed."""
+        """A copy of a file's content, as Hydra modifies it; read again once the file has changed."""
         about = os.stat(os.path.join(self.path, f"{config_path.removesuffix('.yaml')}.yaml"))
         read = _read(self.provider, self.path, config_path, about.st_mtime_ns, about.st_size)
         result: ConfigResult = read()
@@ -38,7 +38,7 @@ class OptionFiles(_Files):
 
 
 class ShippedOptions(SearchPathPlugin):
-    """Search simbias's own folder of options, and no other program's, by `OptionFiles`."""
+    """Search only simbias's own folder of options with `OptionFiles`, not other programs' folders."""
 
     def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
         """Replace the folder in Hydra's search path."""
@@ -56,6 +56,6 @@ def _read(provider: str, folder: str, config_path: str, time: int, size: int) ->
 
 @cache
 def register() -> None:
-    """Make both known to Hydra."""
+    """Register both with Hydra."""
     for each in (OptionFiles, ShippedOptions):
         Plugins.instance().register(each)

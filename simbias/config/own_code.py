@@ -1,6 +1,7 @@
-"""The user's own code in a trial: a digest of each module, kept with the run but no part of its identity.
+"""The user's own code in a trial: digests of modules, kept with the trial but not part of its identity.
 
-A comment is no other trial, so what changed is told, and the user decides whether results still count.
+Editing a comment makes no other trial, so changes are reported, and the user judges whether results still
+count.
 """
 
 from __future__ import annotations
@@ -15,14 +16,14 @@ from typing import Any
 from simbias.config.allowed import OWN, targets
 from simbias.core.digest import short_digest
 
-INSTALLED = ("site-packages", "dist-packages")  # where packages are that have nothing to do with each other
+INSTALLED = ("site-packages", "dist-packages")  # folders of unrelated packages
 
 
 def digests(config: Mapping[str, Any]) -> dict[str, str]:
-    """A digest of each module of the user's that a config's components come from, and the packages' versions.
+    """Digests of the user's modules that define a config's components, and their packages' versions.
 
-    Modules that these import count too, if they lie in the same package or folder; what is installed beside
-    them does not. The components have been built, so their modules are imported.
+    Modules that these import also count, if they lie in the same package or folder; other installed packages
+    do not. The components have been built, so their modules are loaded.
     """
     found: dict[str, str] = {}
     for target in targets({key: value for key, value in config.items() if isinstance(value, Mapping)}):
@@ -37,7 +38,7 @@ def digests(config: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _with_imported(module: str) -> Iterator[tuple[str, Path]]:
-    """A module and those of the same home that it imports, directly or over others, with their files."""
+    """A module and the modules of the same home that it imports, directly or indirectly, with their files."""
     home, waiting, seen = _home(module), [module], set()
     while waiting:
         name = waiting.pop()
@@ -50,7 +51,7 @@ def _with_imported(module: str) -> Iterator[tuple[str, Path]]:
 
 
 def _imports(module: str, file: Path) -> Iterator[str]:
-    """The names of modules, and some of what is in them, that a module's text imports."""
+    """The names imported in a module's text: modules, and possibly their members."""
     package = module if file.name == "__init__.py" else module.rpartition(".")[0]
     for node in ast.walk(ast.parse(file.read_bytes())):
         if isinstance(node, ast.Import):
@@ -64,13 +65,13 @@ def _imports(module: str, file: Path) -> Iterator[str]:
 
 
 def _file(module: str) -> Path | None:
-    """The file of a loaded module, if it is one of Python."""
+    """The file of a loaded module, if it is Python source."""
     file = getattr(sys.modules.get(module), "__file__", None)
     return Path(file) if file and file.endswith(".py") else None
 
 
 def _home(module: str) -> Path | None:
-    """The folder in which a module, or the package that it is in, lies."""
+    """The folder that contains a module or its package."""
     file = _file(module.partition(".")[0])
     if file is None:
         return None

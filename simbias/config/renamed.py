@@ -1,4 +1,4 @@
-"""Keys and options that had another name before: their errors say the one of now."""
+"""Renamed keys and options; their errors give the new name."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from collections.abc import Iterable, Mapping
 
 from simbias.core.errors import ConfigError
 
-# An old key (`group.key`) or option (`group=option`) -> the new one. A key stands for all below it. Sorted.
+# An old key (`group.key`) or option (`group=option`) -> the new one. A key includes all keys below it.
+# Sorted.
 RENAMED: Mapping[str, str] = {
     "bias=held_out": "bias=window_gp",
     "evaluation=lasting": "evaluation=domain_randomization_30s",
@@ -29,7 +30,7 @@ RENAMED: Mapping[str, str] = {
 
 
 def new_name(old: str) -> str | None:
-    """The new name of an old one, by its own entry or that of a name above it; None if it has none."""
+    """The new name of an old one, by its own entry or a parent's; None if there is none."""
     parts = old.split(".")
     for length in range(len(parts), 0, -1):
         head = ".".join(parts[:length])
@@ -40,7 +41,7 @@ def new_name(old: str) -> str | None:
 
 
 def unknown(names: Iterable[str], key: str, otherwise: str) -> ConfigError:
-    """The error of an unknown `key`: the first of the `names` that was renamed, `otherwise` if none was."""
+    """The error for an unknown `key`: the first renamed one of `names`, or `otherwise`."""
     for name in names:
         if (new := new_name(name)) is not None:
             return ConfigError(name, f"is now {new}")

@@ -1,4 +1,4 @@
-"""The options of every group and the sweeps: those that are shipped, and those of the user's folder."""
+"""The options of every group and the sweeps: shipped ones, and those in the user's folder."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from simbias.config.renamed import unknown
 from simbias.core.errors import ConfigError, reason
 from simbias.trial.disk import require_file
 
-PRIMARY = "config.yaml"  # the one that names the defaults
-MAX_VALUES = 1_000_000  # of a YAML file, with those that its aliases stand for
+PRIMARY = "config.yaml"  # the file that names the defaults
+MAX_VALUES = 1_000_000  # of a YAML file, with expanded aliases
 
 
 def resource_folder(folder: str) -> Path:
@@ -26,7 +26,7 @@ def resource_folder(folder: str) -> Path:
 
 
 def options(config_dir: Path | str | None = None) -> dict[str, list[str]]:
-    """The options of every group, defaults first; those of the user's folder too."""
+    """The options of every group, defaults first, including those in the user's folder."""
     from omegaconf import OmegaConf
 
     root = resource_folder("conf")
@@ -40,13 +40,13 @@ def options(config_dir: Path | str | None = None) -> dict[str, list[str]]:
 
 
 def sweeps(config_dir: Path | str | None = None) -> list[str]:
-    """The sweeps that are shipped, and those of the user's folder."""
+    """The shipped sweeps, and those in the user's folder."""
     return sorted(_names(_sweep_folders(config_dir)))
 
 
 def _names(folders: Iterator[Path]) -> set[str]:
     """The names of the configs in some folders."""
-    there = filter(os.path.isdir, folders)  # False of what no file system takes as a name, too
+    there = filter(os.path.isdir, folders)  # also False for invalid file names
     return {file.stem for folder in there for file in folder.glob("*.yaml")}
 
 
@@ -60,11 +60,11 @@ def _sweep_folders(config_dir: Path | str | None) -> Iterator[Path]:
 def register_sweep(
     name: str, config_dir: Path | str | None, grid: bool, known: frozenset[str] = frozenset()
 ) -> None:
-    """Make a file of `sweeps`, and those that its defaults list names, options of Hydra's group `sweep`.
+    """Register a file of `sweeps`, and the files in its defaults list, as options of Hydra's group `sweep`.
 
-    A search path would make the folder a group of the name `sweeps`, and each file need a package header.
-    Without the grid, their node `sweep` is left out. A ConfigError names a file that is not there, or cannot
-    be read.
+    A search path would make the folder a group named `sweeps`, and require a package header in each file.
+    Without the grid, their node `sweep` is left out. A ConfigError names a file that is missing or
+    unreadable.
     """
     from hydra.core.config_store import ConfigStore
 
@@ -91,7 +91,7 @@ def register_sweep(
 
 
 def forget_sweeps() -> None:
-    """Leave no sweep among Hydra's options, all of which it copies for each composition."""
+    """Remove all sweeps from Hydra's options, which it copies for each composition."""
     from hydra.core.config_store import ConfigStore
 
     ConfigStore.instance().repo.pop("sweep", None)
@@ -109,7 +109,7 @@ def _loaded(file: Path, time: int, size: int) -> Any:
 def state(folders: Sequence[Path]) -> frozenset[tuple[str, int, int]]:
     """Name, time and size of every shipped sweep and of every YAML file in these folders and below them.
 
-    Another state, another composition. What lies in hidden folders, as environments are, is passed over.
+    A changed state requires another composition. Hidden folders, such as environments, are skipped.
     """
     walks = [*map(os.walk, folders), islice(os.walk(resource_folder("sweeps")), 1)]
     return frozenset(entry for walk in walks for entry in _files(walk))
@@ -121,22 +121,22 @@ def _files(walk: Iterator[tuple[str, list[str], list[str]]]) -> Iterator[tuple[s
         inner[:] = [name for name in inner if not name.startswith(".")]
         for name in names:
             if name.endswith(".yaml"):
-                with suppress(OSError):  # a link that leads nowhere
+                with suppress(OSError):  # a broken link
                     about = os.stat(path := os.path.join(root, name))
                     yield path, about.st_mtime_ns, about.st_size
 
 
 def check_ends(file: Path) -> None:
-    """Refuse a pipe or a device, and a file whose aliases of aliases stand for too many values.
+    """Refuse a pipe, a device, or a file whose nested aliases expand to too many values.
 
-    OmegaConf copies what an alias stands for, and eleven lines may mean 43 million values. A ConfigError
-    names the file; one that is no YAML is named where it is asked for.
+    OmegaConf expands aliases, and eleven lines may become 43 million values. A ConfigError names the file;
+    invalid YAML is reported where the file is used.
     """
     import yaml  # lazily: --help needs none
 
     def size(node: yaml.Node) -> int:
         if id(node) not in sizes:
-            sizes[id(node)] = 0  # of a node within itself, which OmegaConf refuses
+            sizes[id(node)] = 0  # for a node within itself, which OmegaConf refuses
             parts = node.value if isinstance(node, yaml.CollectionNode) else []
             nodes = [each for part in parts for each in (part if isinstance(part, tuple) else [part])]
             sizes[id(node)] = 1 + sum(map(size, nodes))
@@ -154,7 +154,7 @@ def check_ends(file: Path) -> None:
 
 
 def check_no_primary(config_dir: Path) -> None:
-    """Refuse a folder whose `config.yaml` would be passed over; a ConfigError says what takes its place."""
+    """Refuse a folder with a `config.yaml`, which would be ignored; a ConfigError names the alternative."""
     primary = config_dir / PRIMARY
     if primary.exists() and config_dir.resolve() != resource_folder("conf").resolve():
         raise ConfigError(

@@ -17,10 +17,11 @@ MOST_BYTES = 64 * 2**20
 
 
 def packed(compositions: Iterable[Composition]) -> bytes:
-    """Folders of configs, and what lies beside them: modules, loaded packages, files that configs name.
+    """Pack folders of configs and needed files beside them: modules, loaded packages, files named in configs.
 
-    A zip file, laid out as they are: unpacked into a folder of `sys.path`, `simbias.core.files.find` and
-    imports find all of it. Empty where there is nothing to send; a ConfigError if it is more than 64 MiB.
+    The result is a zip file with the same layout: once unpacked into a folder of `sys.path`,
+    `simbias.core.files.find` and imports find everything. Empty if there is nothing to send; a ConfigError if
+    it exceeds 64 MiB.
     """
     files = {file: name for each in compositions for file, name in _needed(each)}
     if (size := sum(file.stat().st_size for file in files)) > MOST_BYTES:
@@ -47,11 +48,11 @@ def _needed(composition: Composition) -> Iterator[tuple[Path, str]]:
 
 
 def _is_in(home: Path, name: str) -> bool:
-    """Whether a text is the relative name of a file or folder in this one."""
+    """Whether a text is the relative name of a file or folder in `home`."""
     path = Path(name)
     try:
         return bool(path.parts) and not {"..", path.anchor} & set(path.parts) and (home / path).exists()
-    except (OSError, ValueError):  # of what no file system takes as a name
+    except (OSError, ValueError):  # not a valid file name
         return False
 
 
@@ -62,4 +63,4 @@ def _files(path: Path) -> Iterator[Path]:
     for root, inner, names in os.walk(path):
         inner[:] = [name for name in inner if not name.startswith((".", "__pycache__"))]
         files = (Path(root, name) for name in names if not name.startswith("."))
-        yield from filter(Path.is_file, files)  # no pipe, and no link that leads nowhere
+        yield from filter(Path.is_file, files)  # no pipes or broken links

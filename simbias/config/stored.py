@@ -1,4 +1,4 @@
-"""A trial read back from its folder: its study is built from what the folder says, its method replayed."""
+"""Reading back a trial from its folder: its study is rebuilt, and its method replayed."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ OTHER_CONFIG = (
 
 
 def read_folder(folder: Path, config_dir: Path | str | None = None, allow: Sequence[str] = ()) -> TrialRecord:
-    """The study of a trial's folder and its full record; the trial may be under way.
+    """The study and the full record of a trial's folder; the trial may still be running.
 
-    A folder may be somebody else's: components of one's own have to be importable, and lie beside
-    `config_dir` or in a module that `allow` names.
+    A folder may be somebody else's: custom components must be importable, and lie beside `config_dir` or in a
+    module that `allow` names.
 
     Raises
     ------
     ConfigError
-        If the folder is no trial's, or something in it cannot be read or does not fit.
+        If the folder is not a trial's, or something in it is unreadable or inconsistent.
     """
     description = TrialFolder(folder).description()
     folders = [] if config_dir is None else [Path(config_dir)]
