@@ -16,9 +16,9 @@ class Axis:
     """A dimension of the grid: points that each set some keys."""
 
     name: str
-    points: tuple[Mapping[str, Any], ...]  # values by key; a key that the config lacks has a + before it
-    labels: tuple[str, ...]  # of each point
-    texts: tuple[tuple[str, ...], ...]  # of each point, a text for each column of a table
+    points: tuple[Mapping[str, Any], ...]  # values by key; a new key is prefixed with +
+    labels: tuple[str, ...]  # label of each point
+    texts: tuple[tuple[str, ...], ...]  # for each point, a text per column of a table
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -27,7 +27,7 @@ class Axis:
 
     @property
     def numeric(self) -> bool:
-        """Whether the labels are the points' values, and these are numbers."""
+        """Whether the labels are the points' values, which are numbers."""
         values = [list(point.values()) for point in self.points]
         numbers = (isinstance(value, int | float) for point in values for value in point)
         own = all(label == join(value) for label, value in zip(self.labels, values, strict=True))
@@ -37,9 +37,9 @@ class Axis:
 def read_axis(name: str, spec: Any) -> Axis:
     """An axis: `key: [value, ...]`, `name: {keys, values, labels}` or `name: {points}`.
 
-    The points are values by key, by label; not all need to set the same keys.
+    `points` maps labels to values by key; points may set different keys.
     """
-    from simbias.sweep.results import COLUMNS  # lazily: both know the grid
+    from simbias.sweep.results import COLUMNS  # lazily: avoids an import cycle
     from simbias.sweep.tables import MEASURES
 
     where = f"sweep.axes.{name}"
@@ -82,7 +82,7 @@ def read_axis(name: str, spec: Any) -> Axis:
 
 
 def _checked(axis: Axis) -> Axis:
-    """The axis, if its points can be told apart and drawn."""
+    """The axis, if its points are distinct and can be drawn."""
     where = f"sweep.axes.{axis.name}"
     if not axis.points:
         raise ConfigError(where, "has no values")
@@ -101,10 +101,10 @@ def _tuple(value: Any, length: int, where: str) -> tuple[Any, ...]:
 
 
 def label(value: Any) -> str:
-    """A value as tables show it."""
+    """A value as shown in tables."""
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def join(values: Sequence[Any]) -> str:
-    """The values of a point as tables show them."""
+    """The values of a point as shown in tables."""
     return "/".join(map(label, values))

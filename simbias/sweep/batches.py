@@ -1,4 +1,4 @@
-"""Hardware experiments that a figure needs besides those of the trials."""
+"""Hardware experiments that a figure needs in addition to those of the trials."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from simbias.core.records import Array
 
 @dataclass(frozen=True)
 class Batch:
-    """Experiments with one policy on one hardware, the i-th from the i-th start; the seed is of the noise."""
+    """Experiments with one policy on one hardware, the i-th from the i-th start; the seed is for noise."""
 
-    composition: Composition  # of the study whose hardware it is
+    composition: Composition  # the study that defines the hardware
     parameters: tuple[float, ...]  # theta (p,)
     starts: tuple[tuple[float, ...], ...]  # (k, n)
     seed: int
@@ -43,10 +43,10 @@ class Outcomes:
     __pydantic_config__ = ConfigDict(extra="forbid")
 
     costs: tuple[float, ...]  # (k,) Z of Eq. 8
-    frames: tuple[int, ...]  # (k,) for which the robot was controlled
-    failures: tuple[str, ...]  # (k,) names of the criteria that failed; empty where none did
+    frames: tuple[int, ...]  # (k,) frames in which the robot was controlled
+    failures: tuple[str, ...]  # (k,) names of violated criteria; "" if none was
     successes: tuple[bool, ...]  # (k,) whether it passed, by the study's cost
-    error: str = ""  # why there are none
+    error: str = ""  # why there are no outcomes
 
     def as_json(self) -> str:
         """Text for `from_json`."""
@@ -54,7 +54,7 @@ class Outcomes:
 
     @staticmethod
     def from_json(text: str) -> Outcomes:
-        """Outcomes as `as_json` wrote them; a ValueError if the text is cut off, or not of this version."""
+        """Outcomes from text by `as_json`; a ValueError if it is truncated or of another version."""
         return TypeAdapter(Outcomes).validate_json(text)
 
 

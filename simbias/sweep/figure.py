@@ -1,4 +1,4 @@
-"""The trials of a sweep, for its figures; the contract of these, and what they give."""
+"""The trials of a sweep as input to its figures, and the contract of figures."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from simbias.sweep.grid import Sweep
     from simbias.trial.run import TrialRecord
 
-Row = Mapping[Any, Any]  # of a table of trials
+Row = Mapping[Any, Any]  # a row of a table of trials
 
 
 NONE_ENDED = "no trial of the sweep ran to an end"
@@ -31,20 +31,20 @@ UNTESTED = (
 
 
 class FigureError(RuntimeError):
-    """A figure cannot be drawn from what there is."""
+    """A figure cannot be drawn from the available data."""
 
 
 @dataclass(frozen=True, eq=False)
 class SweptTrials:
-    """The trials of a sweep, as a table and each in full."""
+    """The trials of a sweep: as a table, and each as a full record."""
 
     sweep: Sweep
-    table: DataFrame  # as `simbias.sweep.results` describes it
+    table: DataFrame  # see `simbias.sweep.results`
     load: Callable[[str], TrialRecord]  # by hash
 
     @property
     def rows(self) -> list[Row]:
-        """Rows of the trials that ran to an end, in the sweep's order.
+        """Rows of the trials that ended without an error, in the sweep's order.
 
         Raises
         ------
@@ -62,7 +62,7 @@ class SweptTrials:
         Raises
         ------
         FigureError
-            If there is none, or one has no iteration, as its budget allowed for none.
+            If there is none, or one has no iteration because its budget allowed none.
         """
         for row in self.rows:
             trial = self.load(row["hash"])
@@ -84,7 +84,7 @@ class Picture:
     """A figure of a sweep."""
 
     figure: Figure
-    numbers: DataFrame  # all that it shows, or their sums
+    numbers: DataFrame  # all numbers that it shows, or their sums
     caption: str
     animate: Callable[[Path], object] | None = None  # writes a GIF
 
@@ -105,11 +105,11 @@ class Picture:
 class SweepFigure(ABC):
     """A figure of a sweep, drawn once all trials have ended."""
 
-    reads_trials = True  # in full, from their folders; else only their table
-    reads_tests = False  # of the trials' last policies
+    reads_trials = True  # whether it reads full records from folders; else only the table
+    reads_tests = False  # whether it uses tests of last policies
 
     def experiments(self, trials: SweptTrials) -> Sequence[Batch]:
-        """Hardware experiments that it needs besides those of the trials; none, if not said otherwise."""
+        """Hardware experiments needed in addition to those of the trials; by default none."""
         return ()
 
     @abstractmethod
@@ -119,5 +119,5 @@ class SweepFigure(ABC):
         Raises
         ------
         FigureError
-            If it cannot be drawn from what there is.
+            If it cannot be drawn from the available data.
         """

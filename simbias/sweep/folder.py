@@ -1,10 +1,9 @@
-"""The folder of a sweep: which trials it has, and what was made of them. The trials have their own.
+"""The folder of a sweep: its trials and its results. Each trial has its own folder.
 
 sweep.json                   name, hash, command, config, axes, and each trial's hash and place in the grid
-state.json                   how far it is, its table and what that means
-trials.csv, table.csv, .md   a row for each trial, a row for each cell
-experiments/<hash>.json      outcomes of experiments that figures needed besides those of the trials
-figures/                     the figures
+state.json                   progress, its table and the table's meaning trials.csv, table.csv, .md   a row
+for each trial, a row for each cell experiments/<hash>.json      outcomes of additional experiments for
+figures figures/                     the figures
 """
 
 from __future__ import annotations
@@ -43,22 +42,22 @@ class SweepFolder:
         return self._read(SWEEP)
 
     def trials_recorded(self) -> set[str]:
-        """The hashes of the trials in sweep.json; none before there is one."""
+        """The hashes of the trials in sweep.json; empty before it exists."""
         return {*self.description().get("trials", ())} if (self.path / SWEEP).exists() else set()
 
     def state(self) -> dict[str, Any]:
-        """The content of state.json; empty before there is one."""
+        """The content of state.json; empty before it exists."""
         return self._read(STATE) if (self.path / STATE).exists() else {}
 
     def _read(self, name: str) -> dict[str, Any]:
-        """The content of one of its files; a ConfigError says what mends it."""
+        """The content of one of its files; a ConfigError names the remedy."""
         try:
             return read_json(self.path / name)
         except ConfigError as error:
             raise ConfigError(error.key, f"{error.problem}. {REMEDY}") from error
 
     def write_state(self, state: Mapping[str, Any], files: Mapping[str, str] = {}) -> None:
-        """Write how far the sweep is, and files by name."""
+        """Write the sweep's progress, and files by name."""
         for name, text in files.items():
             write_whole(self.path / name, text.encode())
         write_json(self.path / STATE, state)
@@ -80,7 +79,7 @@ class SweepFolder:
         return [file for file in sorted(self.path.glob("t*.*")) if file.suffix in (".csv", ".md")]
 
     def figures(self) -> list[Path]:
-        """The files of the figures that the sweep still has: of others, files may be left."""
+        """The files of the sweep's current figures; files of former ones may remain."""
         drawn = self.state().get("captions", ())
         return sorted(
             file for file in (self.path / FIGURES).glob("*") if file.stem in drawn and file.is_file()
@@ -98,7 +97,7 @@ class SweepFolder:
         write_whole(self.path / EXPERIMENTS / f"{batch}.json", outcomes.as_json().encode())
 
     def outcomes(self, batches: Sequence[str]) -> dict[str, Outcomes]:
-        """The outcomes that are kept, by the hashes of their batches."""
+        """The stored outcomes, by the hashes of their batches."""
         kept = {}
         for batch in batches:
             file = self.path / EXPERIMENTS / f"{batch}.json"
@@ -108,5 +107,5 @@ class SweepFolder:
 
 
 def sweep_folders(trials: Path) -> list[SweepFolder]:
-    """The folders of sweeps beside the trials."""
+    """The folders of sweeps beside the trials' folders."""
     return [SweepFolder(file.parent) for file in sorted(trials.glob(f"sweeps/*/{SWEEP}"))]

@@ -27,8 +27,8 @@ from simbias.sweep.figure import SweepFigure
 from simbias.sweep.statistics import BAR
 
 MOST_TRIALS = 100_000  # of a sweep: more take minutes to list, and years to run
-LASTS = "lasts for the task's horizon without a failure"  # in a test episode, without success of the task's
-SEED_DIGITS = 12  # hexadecimal: trials of a cell do not meet the same seed by chance
+LASTS = "lasts for the task's horizon without a failure"  # of a test episode, if the task defines no success
+SEED_DIGITS = 12  # hexadecimal: enough to avoid collisions of seeds
 FileName = Annotated[str, Field(pattern=r"^\w[\w-]*$")]
 Measure = Literal[
     "experiments",
@@ -41,7 +41,7 @@ Measure = Literal[
     "long_success_rate",
     "paper",
 ]
-# Where none is named.
+# Defaults, if none are named.
 FIGURES = {"experiments": {"_target_": "simbias.sweep.figures.experiments.Experiments"}}
 
 
@@ -49,19 +49,19 @@ FIGURES = {"experiments": {"_target_": "simbias.sweep.figures.experiments.Experi
 class Report:
     """Columns and measures of a sweep's table."""
 
-    columns: str | None  # the axis whose points stand side by side
-    measures: tuple[Measure, ...]  # of each cell
+    columns: str | None  # the axis whose points are columns
+    measures: tuple[Measure, ...]  # shown for each cell
     paper: Mapping[tuple[str, ...], float]  # labels of a cell -> the paper's mean number of experiments
-    bar: float = BAR  # share of starts that a policy has to hold, by the bound of its test episodes
+    bar: float = BAR  # share of starts that a policy must hold, by the bound from its test episodes
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A point of the grid: a config but for its seed."""
+    """A point of the grid: a config without its seed."""
 
     labels: tuple[str, ...]  # one for each axis
     composition: Composition
-    identity: str  # what its trials' seeds come from; cells that share it meet the same random numbers
+    identity: str  # determines its trials' seeds; cells that share it have common random numbers
 
 
 @dataclass(frozen=True)
@@ -74,37 +74,37 @@ class Trial:
 
     @property
     def composition(self) -> Composition:
-        """The trial's config; all but the seed is shared with the cell's other trials."""
+        """The trial's config; all except the seed is shared with the cell's other trials."""
         return replace(self.cell.composition, config={**self.cell.composition.config, "seed": self.seed})
 
     @cached_property
     def hash(self) -> str:
-        """The trial's identity, as of a study of its own."""
+        """The trial's identity, as for a single study."""
         return self.cell.composition.hash_with({"seed": self.seed})
 
     @property
     def name(self) -> str:
-        """The trial in a few words."""
+        """The trial's name in a few words."""
         return " ".join([*self.cell.labels, f"#{self.repetition}"])
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """A grid and what to do with it."""
+    """A grid of trials, with its report and figures."""
 
     name: str
-    base: Composition  # what all trials share, with the axes' keys as they were before
+    base: Composition  # the config shared by all trials, with the axes' keys at their base values
     axes: tuple[Axis, ...]
     cells: tuple[Cell, ...]  # the last axis changes fastest
     repetitions: int
     dry_run: bool
     report: Report
     figures: Mapping[str, SweepFigure]  # by the name of their files
-    figures_to: str | None  # folder, in the working folder, to which the files are also copied
+    figures_to: str | None  # folder in the working folder for copies of the files
 
     @cached_property
     def trials(self) -> tuple[Trial, ...]:
-        """Every trial: the first of each cell, then the second of each, so that all cells fill alike."""
+        """Every trial: the first of each cell, then the second of each, so that all cells fill evenly."""
         base_seed = self.base.config["seed"]
         return tuple(
             Trial(cell, repetition, trial_seed(cell.identity, base_seed, repetition))
@@ -114,7 +114,7 @@ class Sweep:
 
     @cached_property
     def success(self) -> str:
-        """When a test episode counts as a success, as a verb of its policy."""
+        """When a test episode counts as a success, as a verb phrase about its policy."""
         cells = {repr(cell.composition.config["task"]): cell.composition for cell in self.cells}
         said = {build_task(cell.config["task"], cell.own).says_success for cell in cells.values()}
         if len(said) > 1:
@@ -123,17 +123,17 @@ class Sweep:
 
     @property
     def hash(self) -> str:
-        """Identity of a sweep whose points and trials may grow: names, axes, split, what trials share."""
+        """Identity of a sweep, open to new points and trials: names, axes, columns, shared config."""
         values = self.base.config["sweep"]
         split, common_seeds = values.get("suite", {}).get("split"), sorted(values.get("common_seeds", []))
-        specs = values["axes"].items()  # of named points no keys: a new point may set others
+        specs = values["axes"].items()  # no keys of named points: a new point may set others
         axes = [[name, spec.get("keys")] if isinstance(spec, Mapping) else name for name, spec in specs]
         shared = [self.name, axes, common_seeds, split, self.base.trial.hash]
         return short_digest(json.dumps(shared).encode())
 
 
 def trial_seed(cell: str, base_seed: int, repetition: int) -> int:
-    """The seed of a repetition: from what it is, so that no other cell or trial changes it."""
+    """The seed of a repetition, derived from its own identity, independent of other cells and trials."""
     text = f"{cell} {base_seed} {repetition}"
     return int(hashlib.sha256(text.encode()).hexdigest()[:SEED_DIGITS], 16)
 
@@ -141,18 +141,18 @@ def trial_seed(cell: str, base_seed: int, repetition: int) -> int:
 def expand(
     overrides: Sequence[str], config_dir: Path | str | None = None, allow: Sequence[str] = ()
 ) -> Sweep:
-    """The grid that `+sweep=NAME` and further overrides describe.
+    """The grid described by `+sweep=NAME` and further overrides.
 
     Raises
     ------
     ConfigError
-        If the sweep, an axis or a value is bad; the components of each cell are not built, so not checked.
+        If the sweep, an axis or a value is bad. The components of cells are not built, and so not checked.
     """
     return expanded(Variations(overrides, config_dir, allow))
 
 
 def expanded(variations: Variations) -> Sweep:
-    """The grid of a command line whose compositions are known already; errors as of `expand`."""
+    """The grid of a command line whose compositions are already known; errors as for `expand`."""
     base = variations.composition({})
     values = _specification(base)
     axes = tuple(read_axis(name, spec) for name, spec in values["axes"].items())
@@ -180,7 +180,7 @@ def _specification(base: Composition) -> dict[str, Any]:
     fields = {
         "trials": Required[Annotated[int, Field(gt=0, le=MOST_TRIALS)]],
         "axes": Required[dict[str, Any]],
-        "suite": NotRequired[dict[str, Any]],  # what axes refer to by interpolation
+        "suite": NotRequired[dict[str, Any]],  # referred to by axes through interpolation
         "common_seeds": NotRequired[list[str]],
         "dry_run": NotRequired[bool],
         "report": NotRequired[dict[str, Any]],
@@ -191,7 +191,7 @@ def _specification(base: Composition) -> dict[str, Any]:
 
 
 def _check_size(axes: Sequence[Axis], trials: int) -> None:
-    """Refuse a sweep that nobody can mean, before it is expanded."""
+    """Refuse an absurdly large sweep before it is expanded."""
     cells = math.prod(len(axis.points) for axis in axes)
     if cells * trials > MOST_TRIALS:
         problem = f"{cells} cells of {trials} trials are more than {MOST_TRIALS} trials"
@@ -199,7 +199,7 @@ def _check_size(axes: Sequence[Axis], trials: int) -> None:
 
 
 def _check_keys(axes: Sequence[Axis], overrides: Sequence[str], groups: Collection[str]) -> None:
-    """Refuse keys that two axes set, and overrides of what an axis sets: they would be without effect."""
+    """Refuse keys set by two axes, and overrides of keys set by an axis, which would have no effect."""
     owners: dict[str, str] = {"seed": ""}
     for axis in axes:
         for key in axis.keys:
@@ -224,13 +224,13 @@ def _check_keys(axes: Sequence[Axis], overrides: Sequence[str], groups: Collecti
 
 
 def _overlap(key: str, other: str, groups: Collection[str]) -> bool:
-    """Whether two keys are the same, or one is inside of the other; what an option sets may be changed."""
+    """Whether two keys are the same or one contains the other; values in an option may be changed."""
     outer, inner = sorted((key, other), key=len)
     return inner == outer or (inner.startswith(f"{outer}.") and outer not in groups)
 
 
 def _common_seeds(values: Mapping[str, Any], axes: Sequence[Axis]) -> frozenset[str]:
-    """The axes along which trials differ in nothing but the axis: repetition i has one seed at all points."""
+    """The axes with common seeds: repetition i has the same seed at all their points."""
     names = [axis.name for axis in axes]
     for name in (chosen := values.get("common_seeds", [])):
         if name not in names:
@@ -241,7 +241,7 @@ def _common_seeds(values: Mapping[str, Any], axes: Sequence[Axis]) -> frozenset[
 def _cells(axes: Sequence[Axis], common_seeds: frozenset[str], variations: Variations) -> Iterator[Cell]:
     """Every combination of the axes' points."""
     known: dict[str, tuple[str, ...]] = {}
-    identities: dict[str, str] = {}  # by the settings that seeds are made of
+    identities: dict[str, str] = {}  # by the settings that determine seeds
     for point in itertools.product(*(range(len(axis.points)) for axis in axes)):
         settings: dict[str, Any] = {}
         seeding: dict[str, Any] = {}
@@ -259,7 +259,7 @@ def _cells(axes: Sequence[Axis], common_seeds: frozenset[str], variations: Varia
 
 
 def _composed(variations: Variations, settings: Mapping[str, Any], axes: Sequence[Axis]) -> Composition:
-    """The composition of a cell's trials; where the config has no such key, the error names the axis."""
+    """The composition of a cell's trials; for an unknown key, the error names the axis."""
     try:
         return variations.trial(settings)
     except ConfigError as error:

@@ -1,4 +1,4 @@
-"""Making the figures of a sweep: what they still need is run and kept, then they are drawn and kept."""
+"""Making the figures of a sweep: missing experiments are run and kept, then figures are drawn and kept."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 
 
 class SweepObserver:
-    """Follows a sweep; this one does nothing."""
+    """Follows a sweep; the base class does nothing."""
 
     def begun(self, sweep: Sweep, finished: DataFrame, folder: Path | None) -> None:
-        """The trials begin, but for those that are finished; they are kept in the folder, if there is one."""
+        """The unfinished trials begin; they are kept in the folder, if there is one."""
 
     def ended(self, trial: Trial, result: Result) -> None:
         """A trial has ended or stopped, and is kept."""
@@ -42,11 +42,11 @@ class SweepObserver:
 
     @contextmanager
     def working(self, words: str, total: int, done: int) -> Iterator[Callable[[], None]]:
-        """Work of `total` steps, some of them done before; the function it gives is called after each."""
+        """Work of `total` steps, some already done; the yielded function is called after each step."""
         yield lambda: None
 
     def drawn(self, name: str, caption: str, files: Sequence[Path]) -> None:
-        """A figure is drawn and kept; the files are those in the user's folder, if there is one."""
+        """A figure is drawn and kept; `files` are the copies in the user's folder, if there is one."""
 
 
 def make_figures(
@@ -55,7 +55,7 @@ def make_figures(
     state: SweepState,
     observer: SweepObserver,
 ) -> None:
-    """Make every figure that the sweep declares; errors as of `run_sweep`."""
+    """Make every figure that the sweep declares; errors as for `run_sweep`."""
     for name, figure in sweep.figures.items():
         with _errors_of(name):
             trials = state.swept()
@@ -72,7 +72,7 @@ def make_figures(
 
 @contextmanager
 def _errors_of(name: str) -> Iterator[None]:
-    """Errors that say which figure they belong to; some figures try the hardware once more."""
+    """Make errors name the figure they belong to; some figures use the hardware again."""
     try:
         yield
     except (HardwareError, Waiting) as error:
@@ -88,7 +88,7 @@ def _outcomes(
     state: SweepState,
     observer: SweepObserver,
 ) -> list[Outcomes]:
-    """The outcomes of all batches; those that are kept are not run again."""
+    """The outcomes of all batches; stored ones are not run again."""
     batch_of = {batch.hash: batch for batch in batches}
     outcomes = state.folder.outcomes(list(batch_of))
     missing = [identity for identity in batch_of if identity not in outcomes]
@@ -110,7 +110,7 @@ def _outcomes(
 
 
 def _copy(files: Sequence[Path], folder: str | None) -> list[Path]:
-    """The files in a folder of the user's, if there is one."""
+    """Copy the files to the user's folder, if there is one."""
     if folder is None:
         return []
     Path(folder).mkdir(parents=True, exist_ok=True)

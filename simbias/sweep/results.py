@@ -1,13 +1,13 @@
-"""The trials of a sweep as a DataFrame, read from their folders, or from published results.
+"""The trials of a sweep as a DataFrame, read from their folders or from published results.
 
 It has a row for each trial, with a column for each of the sweep's axes and `hash`, `repetition`, `seed`,
 `outcome` (`succeeded`, `not succeeded` or `error`), `experiments` (hardware experiments until success;
-without success all that the method may make, 2 x N_out = 20 by Table I), `iterations` (likewise), `seconds`
-(wall time), `hardware_seconds` (duration of the experiments made, also without success) and `raised` (its
-error). `policy` is a digest of its last policy's parameters. Where that was tested, `test_episodes` has a 1
-for each episode in which it succeeds and a 0 for each other, `lasting_episodes` a 1 for each that lasts to
-its own end, `long_success_rate` is the share of long episodes in which it lasts to the end, and
-`long_seconds` how long it does on average.
+without success the method's maximum, 2 x N_out = 20 by Table I), `iterations` (the same for these), `seconds`
+(wall time), `hardware_seconds` (duration of the experiments, even without success) and `raised` (its error).
+`policy` is a digest of its last policy's parameters. If that was tested, `test_episodes` has a 1 for each
+successful episode and a 0 for each other, and `lasting_episodes` a 1 for each that lasts to its own end;
+`long_success_rate` is the share of long episodes that last to their end, and `long_seconds` their mean
+duration.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ DIGITS = 4  # of times in published results
 COUNTS = ("experiments", "iterations")
 SHOWN = (Outcome.SUCCEEDED, Outcome.NOT_SUCCEEDED, Outcome.ERROR)  # outcomes of trials in tables
 TEXTS = ("test_episodes", "lasting_episodes", "policy")
-# Columns that some published results lack, and what stands there then.
+# Columns that some published results lack, and their default values.
 LATER: Mapping[str, Any] = {
     "hardware_seconds": nan,
     **dict.fromkeys(TEXTS, ""),
@@ -43,10 +43,10 @@ COLUMNS = ("hash", "repetition", "seed", "outcome", *COUNTS, "seconds", *LATER, 
 def of_folders(
     sweep: Sweep, trials: Path | None, damaged: Callable[[ConfigError], object] = lambda error: None
 ) -> pd.DataFrame:
-    """The trials that ended or raised, in the sweep's order; none where there is no folder.
+    """The trials that ended or raised an error, in the sweep's order; empty without a folder.
 
-    A folder that cannot be read, or is another trial's, counts as none; `damaged` is called with the error
-    that names it.
+    An unreadable folder, or one of another trial, is ignored; `damaged` is called with the error that names
+    it.
     """
     rows = {}
     for trial in sweep.trials if trials else ():
@@ -80,7 +80,7 @@ def row(trial: Trial, sweep: Sweep, summary: TrialSummary) -> dict[str, Any]:
 
 
 def numbers(summary: TrialSummary) -> dict[str, Any]:
-    """The columns of a trial's row that are of how it ended."""
+    """The columns of a trial's row about its outcome."""
     return {
         "outcome": str(summary.outcome),
         "experiments": summary.experiments_until_success,
@@ -90,24 +90,24 @@ def numbers(summary: TrialSummary) -> dict[str, Any]:
 
 
 def digest(rows: Mapping[str, Mapping[Any, Any]]) -> str:
-    """A digest of the trials that ended, by hash and in any order: any number that changes, changes it."""
+    """A digest of the finished trials, by hash and in any order; it changes with any of their numbers."""
     ended = [{**rows[name], "hash": name} for name in sorted(rows) if Outcome(rows[name]["outcome"]).final]
     columns = ["hash", "outcome", *COUNTS, "seconds", *LATER]
     return short_digest(csv(pd.DataFrame(ended, columns=columns)).encode())
 
 
 def csv(trials: pd.DataFrame) -> str:
-    """Trials as the CSV that `published` reads."""
+    """Trials as CSV, which `published` reads."""
     return trials.to_csv(index=False, float_format=f"%.{DIGITS}g")
 
 
 def published(sweep: Sweep, folder: str = "") -> pd.DataFrame:
-    """The trials of a sweep that `sweeps/results` holds, by default in a folder of the sweep's name.
+    """The published trials of a sweep in `sweeps/results`, by default in a folder of the sweep's name.
 
     Raises
     ------
     ConfigError
-        If there are none; others as of `read`.
+        If there are none; others as for `read`.
     """
     path = resource_folder("sweeps") / "results" / (folder or sweep.name) / "trials.csv"
     if not path.is_file():
@@ -116,7 +116,7 @@ def published(sweep: Sweep, folder: str = "") -> pd.DataFrame:
 
 
 def read(path: Path, names: Sequence[str]) -> pd.DataFrame:
-    """The trials of a file as `csv` writes it, `names` those of the axes.
+    """The trials in a file written by `csv`; `names` are the axes' names.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Running a sweep: trials whose folders have no outcome are run, then its figures are made."""
+"""Running a sweep: trials without an outcome in their folder are run, then figures are made."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ def run(
     observer: SweepObserver | None = None,
     allow: Sequence[str] = (),
 ) -> DataFrame:
-    """Compose a sweep and run what is missing of it; see `run_sweep`.
+    """Compose a sweep and run its missing trials; see `run_sweep`.
 
-    With `sweep.dry_run=true` nothing runs: the trials are those that are finished. Before anything runs, a
-    ConfigError says what is bad about the sweep.
+    With `sweep.dry_run=true` nothing runs, and the finished trials are returned. A ConfigError reports an
+    invalid sweep before anything runs.
     """
     variations = Variations(overrides, config_dir, allow)
     composition = variations.composition({})
@@ -58,14 +58,14 @@ def run(
 
 
 def prepare(store: Tracking, variations: Variations) -> tuple[Sweep, DataFrame]:
-    """The sweep, and the trials that are finished.
+    """The sweep, and its finished trials.
 
-    The components of every cell could be built, and its method works with them, or a ConfigError says why
-    not. Where trials are to be run, the simulation is compiled.
+    Checks that the components of every cell can be built and that its method accepts them; a ConfigError says
+    why not. If trials are to be run, the simulation is compiled.
     """
     sweep = expanded(variations)
     ended = finished(sweep, store)
-    tested = any(ended["test_episodes"])  # whether any last policy was, or is to be
+    tested = any(ended["test_episodes"])  # whether any last policy was or will be tested
     studies: dict[tuple[str, ...], Study] = {}
     for cell in sweep.cells:
         try:
@@ -85,7 +85,7 @@ def prepare(store: Tracking, variations: Variations) -> tuple[Sweep, DataFrame]:
             problem = f"0, but sweep.figures.{name} is of tests of the last policies"
             raise ConfigError("policy_test.episodes", problem)
     if len(ended) < len(sweep.trials) and not sweep.dry_run:
-        for study in studies.values():  # compiled here once, workers find it in the cache
+        for study in studies.values():  # compiled here once; workers find it in the cache
             rehearse(study)
     return sweep, ended
 
@@ -99,26 +99,26 @@ def run_sweep(
 ) -> tuple[DataFrame, str]:
     """Run the trials that have not ended, and make the figures; `again` is the command that resumes.
 
-    Figures are made once no trial waits for the result of an experiment or for another process, unless all
-    raised an error. Of a part of the trials that the sweep's folder has, none are, and that folder stays as
-    it is.
+    Figures are made once no trial waits for an experiment's result or for another process, unless all raised
+    an error. If only a part of the trials in the sweep's folder is run, no figures are made, and that folder
+    stays unchanged.
 
-    Returns the trials, as `simbias.sweep.results` describes them, and how a person looks at them.
+    Returns the trials, as in `simbias.sweep.results`, and how a person can view them.
 
     Raises
     ------
     ConfigError
         If the store cannot be used, or another process runs this sweep.
     KeyboardInterrupt
-        On SIGINT or SIGTERM, between two trials; what has ended is kept.
+        On SIGINT or SIGTERM, between two trials; finished ones are kept.
     FigureError
-        If a figure cannot be drawn from what there is.
+        If a figure cannot be drawn from the available data.
     """
     observer = observer or SweepObserver()
     folder = store.sweep_folder(sweep.name, sweep.hash)
     taken = ConfigError("sweep", "another process is running this sweep")
     with locked(folder.path / LOCK, LOOK_SECONDS, taken):
-        tidy()  # an engine without workers makes no folder of its own, which would
+        tidy()  # an engine without workers creates no folder, which would do this
         state = SweepState(sweep, store, again)
         try:
             with Interruption():
@@ -141,7 +141,7 @@ def run_sweep(
 
 
 def _results(trials_engine: Engine, state: SweepState) -> Iterator[tuple[Trial, Result]]:
-    """Trials with their results, as they end; those that another process runs are tried again at the end."""
+    """Trials with their results, as they end; those run by another process are retried at the end."""
     taken: list[Trial] = []
     for trial, result in _tried(state.missing, trials_engine, state):
         if result.summary.outcome is Outcome.RUNNING:
@@ -166,7 +166,7 @@ def _tried(
 
 
 class _Plans(Sequence[PlannedTrial]):
-    """Trials as workers need them, each as its folder is when the engine takes it."""
+    """Planned trials for workers, each with the state of its folder when the engine takes it."""
 
     def __init__(self, trials: Sequence[Trial], plan: Callable[[Trial], PlannedTrial]) -> None:
         self._trials, self._plan = trials, plan
@@ -179,7 +179,7 @@ class _Plans(Sequence[PlannedTrial]):
 
 
 def changed_trials(sweep: Sweep, store: Tracking) -> Iterator[str]:
-    """Lines on finished trials that ran on other code of the user's, or were tested otherwise, than now."""
+    """Lines on finished trials whose user code or test settings differ from the current ones."""
     if store.folder is None:
         return
     studies: dict[str, Study] = {}

@@ -1,4 +1,4 @@
-"""A sweep that runs: its trials so far, in its folder and exported from there."""
+"""The state of a running sweep: its trials so far, in its folder and exported from there."""
 
 from __future__ import annotations
 
@@ -36,22 +36,22 @@ LOSES = "simbias: %s loses %d of its %d trials, which are not asked for any more
 MEANWHILE = (
     "simbias: trial %s was run, or an experiment withdrawn, here meanwhile: what its worker made is dropped"
 )
-# First words on a sweep.
+# First words about a sweep.
 RUNNING, DONE, INTERRUPTED = "**Running**", "**Done**", "**Interrupted**"
 WAITS = "**Waiting** for hardware experiments or another process"
-MARKER = ".shared_"  # prefix of a file that only workers on the same disk see
-STATE_SECONDS = 5.0  # the sweep's state is at most so old while trials end,
+MARKER = ".shared_"  # prefix of a file that only workers with a shared disk see
+STATE_SECONDS = 5.0  # maximum age of the sweep's state while trials end,
 STATE_SHARE = 0.02  # unless it would take more than this of the time
 IN_SWEEPS = ("overview",)  # pictures of a cell's first trial; the others take long
 
 
 def finished(sweep: Sweep, store: Tracking) -> DataFrame:
-    """The trials of a sweep that have ended, and have their pictures."""
+    """The trials of a sweep that have ended and have their pictures."""
     return _whole(results.of_folders(sweep, store.folder), store)
 
 
 def _whole(trials: DataFrame, store: Tracking) -> DataFrame:
-    """Trials that have ended and have their pictures; a kill may have come between."""
+    """Trials that have ended and have their pictures; a kill may have prevented the latter."""
     ended = trials[trials["outcome"] != Outcome.ERROR]
     drawn = [
         not _pictures(repetition, store) or TrialFolder(Path(store.folder or "", identity)).illustrated
@@ -61,7 +61,7 @@ def _whole(trials: DataFrame, store: Tracking) -> DataFrame:
 
 
 def _pictures(repetition: int, store: Tracking) -> tuple[str, ...]:
-    """Pictures of a trial: a cell's first trial has some, which stand for all."""
+    """The pictures of a trial; only a cell's first trial has some, as an example."""
     return IN_SWEEPS if store.pictures and not repetition else ()
 
 
@@ -78,29 +78,29 @@ class SweepState:
         ran_on = (
             tuple(TrialFolder(Path(store.folder or "", name)).platforms()) for name in self.finished["hash"]
         )
-        self._platforms = Counter(filter(None, ran_on))  # trials of each
-        drawn = self.folder.state().get("captions", {})  # by an earlier run, until they are drawn anew
+        self._platforms = Counter(filter(None, ran_on))  # platform -> number of trials
+        drawn = self.folder.state().get("captions", {})  # from an earlier run, until redrawn
         self._captions = {name: caption for name, caption in drawn.items() if name in sweep.figures}
-        self._drawn = dict(self.folder.state().get("drawn", {}))  # of how many trials each figure is
+        self._drawn = dict(self.folder.state().get("drawn", {}))  # number of trials in each figure
         self._due = 0.0
-        self.export = Export()  # shows the sweep elsewhere, once MLflow is imported; that is not begun twice
+        self.export = Export()  # shows the sweep elsewhere, once MLflow is imported; never created twice
         tell_what_is_in_clear(sweep.base.from_environment if store.folder else (), self.folder.path)
         asked, recorded = {trial.hash for trial in sweep.trials}, self.folder.trials_recorded()
         made = (TrialFolder(Path(store.folder or "", name)).ended for name in recorded - asked)
-        self._partial = asked < recorded and any(made)  # then the sweep's folder stays as it is
+        self._partial = asked < recorded and any(made)  # if so, the sweep's folder stays unchanged
         if self._partial:
             logging.getLogger(__name__).warning(PART, len(asked), len(recorded), self.folder.path)
         else:
             if lost := len(recorded - asked):
                 logging.getLogger(__name__).warning(LOSES, self.folder.path, lost, len(recorded))
             self.folder.begin(_description(sweep, again))
-        for left in self.folder.path.glob(f"{MARKER}*"):  # by a process that was killed
+        for left in self.folder.path.glob(f"{MARKER}*"):  # left by a killed process
             left.unlink()
         self._marker = (self.folder.path / f"{MARKER}{uuid4().hex}").absolute()
         self._marker.touch()
 
     def begin(self) -> None:
-        """Note that trials or figures are about to be made; a finished sweep stays so."""
+        """Note that trials or figures are about to be made; a finished sweep stays finished."""
         self.export = self._store.export_sweep(self.folder)
         if self.missing or self.folder.state().get("verdict") != DONE:
             self._write(RUNNING)
@@ -113,19 +113,19 @@ class SweepState:
 
     @property
     def waits(self) -> bool:
-        """Whether, now that none runs here any more, a trial waits for an experiment or runs elsewhere."""
+        """Whether a trial waits for an experiment or runs elsewhere, once none runs here."""
         return len(self._rows) < len(self._sweep.trials)
 
     @property
     def draws(self) -> bool:
-        """Whether figures are made: of a whole sweep in which no trial waits and not all raised an error."""
+        """Whether figures are made: for a complete sweep without waiting trials, not all with errors."""
         raised = (row["outcome"] == Outcome.ERROR for row in self._rows.values())
         return not self._partial and not self.waits and not all(raised)
 
     def plan(self, trial: Trial, shares_disk: bool) -> PlannedTrial:
         """A trial as a worker needs it."""
         folder = self._store.trial_folder(trial.hash)
-        composition = replace(trial.composition, from_environment=())  # which has been told
+        composition = replace(trial.composition, from_environment=())  # already reported
         digests = None if shares_disk else code(composition)
         if folder is None:
             return PlannedTrial(composition, code=digests)
@@ -135,9 +135,9 @@ class SweepState:
         return PlannedTrial(composition, str(folder.absolute()), marker, kept, pictures, digests)
 
     def taken_in(self, trial: Trial, result: Result) -> Result:
-        """A result, its folder laid out if a worker sent it; of a trial that was run here meanwhile, none.
+        """A result, its folder unpacked if a worker sent it; dropped if the trial was run here meanwhile.
 
-        Nor is it of one of which an experiment was withdrawn.
+        It is also dropped if an experiment of the trial was withdrawn.
         """
         folder = self._store.trial_folder(trial.hash)
         if folder is not None and not self._marker.exists():
@@ -157,7 +157,7 @@ class SweepState:
     def keep(self, trial: Trial, result: Result) -> None:
         """Note a trial that ended or stopped, and export it."""
         folder, summary = self._store.trial_folder(trial.hash), result.summary
-        self._rows.pop(trial.hash, None)  # of an attempt that raised
+        self._rows.pop(trial.hash, None)  # a row of a failed attempt
         if summary.outcome in results.SHOWN:
             self._rows[trial.hash] = results.row(trial, self._sweep, summary)
         self._note_platforms(summary)
@@ -167,7 +167,7 @@ class SweepState:
             self._write(RUNNING)
 
     def _note_platforms(self, summary: TrialSummary) -> None:
-        """Count the platforms; say so when another comes in."""
+        """Count the platforms; report when a new one appears."""
         if not summary.platforms:
             return
         mixed = bool(self._platforms) and summary.platforms not in self._platforms
@@ -176,11 +176,11 @@ class SweepState:
             logging.getLogger(__name__).warning(MIXED, len(self._platforms), self._mixed())
 
     def _mixed(self) -> str:
-        """The platforms and how many trials ran on each."""
+        """The platforms and their numbers of trials."""
         return "; ".join(f"{count} on {' then '.join(each)}" for each, count in self._platforms.items())
 
     def results(self) -> DataFrame:
-        """The trials that ended or raised."""
+        """The trials that ended or raised an error."""
         return results.in_order(self._rows, self._sweep)
 
     def swept(self) -> SweptTrials:
@@ -203,12 +203,12 @@ class SweepState:
             self._write(self._verdict(error), final=True)
         except Exception:
             if error is None:
-                raise  # else what ended the sweep, as a full disk, may well end this too
+                raise  # otherwise the cause, such as a full disk, may also prevent this
         finally:
             self._marker.unlink(missing_ok=True)
 
     def _verdict(self, error: BaseException | None) -> str:
-        """First words on a sweep that ended."""
+        """First words about a sweep that ended."""
         if error is not None:
             interrupted = isinstance(error, KeyboardInterrupt | SystemExit)
             return INTERRUPTED if interrupted else "**Ended early** by an error"
@@ -216,7 +216,7 @@ class SweepState:
         return WAITS if self.waits else "**Ended**, some trials with an error" if raised else DONE
 
     def _write(self, verdict: str, final: bool = False) -> None:
-        """Write how far the sweep is, and export it."""
+        """Write the sweep's progress, and export it."""
         began = time.monotonic()
         trials, sweep = self.results(), self._sweep
         table = tables.cells(trials, sweep)

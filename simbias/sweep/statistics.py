@@ -1,7 +1,7 @@
-"""Statistics of sweeps: scores over cells, differences between pairs.
+"""Statistics of sweeps: scores over cells, and differences between pairs.
 
 A score matrix (r, c) has a row for each repetition and a column for each cell, nan where a trial raised an
-error; each cell has a score. Intervals are at 95%.
+error; each cell has at least one score. Intervals are at 95%.
 """
 
 from __future__ import annotations
@@ -16,25 +16,25 @@ from scipy.special import ndtr, stdtrit
 from simbias.core.proportions import CONFIDENCE, Interval, wilson
 from simbias.core.records import Array
 
-BAR = 0.8  # share of starts of which a policy has to be known to hold more
+BAR = 0.8  # share of starts that a policy must hold with confidence
 TAIL = 0.5 * (1.0 - CONFIDENCE)
-FEWEST = 5  # values, or cells, of which an interval is given
+FEWEST = 5  # values, or cells, needed for an interval
 RESAMPLES = 10_000
-AT_ONCE = 1_000_000  # numbers drawn, so that a large cell takes no more memory than a small one
+AT_ONCE = 1_000_000  # numbers drawn at a time, which bounds memory
 
 
 def holds(episodes: str, bar: float = BAR) -> bool:
-    """Whether the lower Wilson limit of a policy's test episodes, "101" of three, is above the bar."""
+    """Whether the lower Wilson bound from a policy's test episodes, such as "101", exceeds the bar."""
     return bool(episodes) and wilson(episodes.count("1"), len(episodes)).low > bar
 
 
 def episodes_needed(bar: float = BAR) -> int:
-    """The fewest test episodes, all passed, of a policy that holds."""
+    """The fewest test episodes with which a policy that passes all of them holds."""
     return int(NormalDist().inv_cdf(0.5 + CONFIDENCE / 2) ** 2 * bar / (1.0 - bar)) + 1
 
 
 def verdicts(tests: Sequence[str], bar: float = BAR) -> Array:
-    """1 (k,) for each policy that holds, 0 for each other; nan with fewer test episodes than it takes."""
+    """1 (k,) for each policy that holds, 0 for each other; nan with too few test episodes."""
     needed = episodes_needed(bar)
     return np.array([float(holds(test, bar)) if len(test) >= needed else np.nan for test in tests])
 
@@ -42,7 +42,7 @@ def verdicts(tests: Sequence[str], bar: float = BAR) -> Array:
 def passed(test_episodes: str, lasting_episodes: str) -> str:
     """1 for each test episode that succeeds and lasts to its own end, 0 for each other.
 
-    Some published results do not say which last.
+    Some published results do not record which episodes last.
     """
     return "".join(map(min, test_episodes, lasting_episodes)) if lasting_episodes else test_episodes
 
@@ -50,7 +50,7 @@ def passed(test_episodes: str, lasting_episodes: str) -> str:
 def interval(values: Sequence[float]) -> tuple[float, float]:
     """Bootstrap interval of the mean, independent of the values' order.
 
-    It is nan for fewer than FEWEST values, and where all are equal: its width would tell nothing.
+    It is nan for fewer than FEWEST values, and if all are equal, as its width would be meaningless.
     """
     if len(values) < FEWEST or min(values) == max(values):
         return np.nan, np.nan
@@ -59,7 +59,7 @@ def interval(values: Sequence[float]) -> tuple[float, float]:
 
 @lru_cache(maxsize=1000)
 def _interval(sample: tuple[float, ...]) -> tuple[float, float]:
-    """The interval of sorted values, cached: notes, tables and figures of a sweep ask for the same ones."""
+    """The interval of sorted values, cached because notes, tables and figures of a sweep share them."""
     rng, means = np.random.default_rng(0), np.empty(RESAMPLES)
     for some in np.array_split(means, 1 + RESAMPLES * len(sample) // AT_ONCE):
         some[:] = rng.choice(np.array(sample, dtype=np.float64), (len(some), len(sample))).mean(axis=1)
@@ -68,18 +68,18 @@ def _interval(sample: tuple[float, ...]) -> tuple[float, float]:
 
 
 def tails(count: int) -> tuple[float, float]:
-    """Where a bootstrap distribution of a mean of so many values is cut off.
+    """Tail percentiles for the bootstrap interval of a mean of `count` values.
 
-    Percentiles are expanded by what Student's t is wider than the normal distribution with its variance
-    estimated (T. Hesterberg, The American Statistician 69, 2015): at 2.5% an interval of ten counts would
-    hold their mean in 87% of samples, of five in 78%; so it does in 91% and 87%.
+    Percentiles are expanded by the ratio of Student's t to the normal distribution with estimated variance
+    (T. Hesterberg, The American Statistician 69, 2015): at 2.5%, an interval of ten counts would contain
+    their mean in 87% of samples, and of five in 78%; with expansion, in 91% and 87%.
     """
     low = float(ndtr(np.sqrt(count / (count - 1)) * stdtrit(count - 1, TAIL)))
     return low, 1.0 - low
 
 
 def mean_text(values: Sequence[float], form: str) -> str:
-    """Mean and interval, "3.0 [2.1, 4.2]", as a format of numbers has them; the mean alone without one."""
+    """Mean and interval in a number format, as "3.0 [2.1, 4.2]"; the mean alone without an interval."""
     low, high = interval(values)
     return f"{np.mean(values):{form}}" + f" [{low:{form}}, {high:{form}}]" * (not np.isnan(low))
 
@@ -109,8 +109,9 @@ def performance_profile(scores: Array, thresholds: Array) -> Array:
 def bootstrap(statistic: Callable[..., float], *scores: Array, resamples: int = 2000) -> Interval:
     """Bootstrap interval of a statistic of score matrices (r, c) over cells.
 
-    Cells are resampled with all of their runs, of all matrices the same. So it tells of other cells, and has
-    a width where the runs of each cell are all alike. As `interval`, it is nan of few cells, or equal ones.
+    Cells are resampled with all their runs, the same in all matrices. The interval thus refers to new cells,
+    and has a width even if the runs in each cell are identical. As in `interval`, it is nan for few or equal
+    cells.
     """
     rng, count = np.random.default_rng(0), scores[0].shape[1]
     if count < FEWEST:
@@ -121,9 +122,9 @@ def bootstrap(statistic: Callable[..., float], *scores: Array, resamples: int = 
 
 
 def sign_test(differences: Sequence[float]) -> float:
-    """Two-sided p of pairs that differ as often up as down, without ties.
+    """Two-sided p-value of the sign test on pairs' differences, without ties.
 
-    Of differences of 0 and 1 it is McNemar's exact test.
+    For differences of 0 and 1, it is McNemar's exact test.
     """
     from scipy.stats import binomtest
 

@@ -16,8 +16,8 @@ from simbias.sweep.axes import Axis
 from simbias.sweep.grid import Sweep
 from simbias.sweep.statistics import FEWEST, episodes_needed, interval, passed, verdicts
 
-BLANK = "–"  # noqa: RUF001  where there is no number
-RELIABLE = 0.9  # success rate from which a policy counts as reliable
+BLANK = "–"  # noqa: RUF001  if there is no number
+RELIABLE = 0.9  # success rate above which a policy counts as reliable
 MEASURES = (
     *("trials", "succeeded", "raised", "mean", "low", "high", "iterations", "hardware_seconds"),
     *("success_rate", "reliable", "tested", "holding", "long_success_rate", "paper"),
@@ -34,15 +34,14 @@ class Layout(NamedTuple):
 def cells(trials: pd.DataFrame, sweep: Sweep) -> pd.DataFrame:
     """A row for each cell of the grid, in its order: the axes' labels and the MEASURES.
 
-    `trials` counts those that ran to an end, `succeeded` those with success; `mean`, and `low` to `high`, its
-    interval (`simbias.sweep.statistics.interval`), are of the number of experiments; `iterations` is the mean
-    of theirs; `raised` counts trials that ended by an error, which are in no other number; `paper` is the
-    paper's mean, nan where it has none. Means too are `hardware_seconds`, of the experiments made,
-    `success_rate`, the share of test episodes in which the last policies succeed (where the task has no
-    success of its own: last for its horizon), `reliable`, the share of trials in which this is at least
-    RELIABLE, and `long_success_rate`, the share of long test episodes that last to their end. Of `tested`
-    last policies, with as many episodes as it takes, `holding` pass the report's bar
-    (`simbias.sweep.statistics.holds`).
+    `trials` counts those that ended without an error, `succeeded` those with success. `mean` and its interval
+    from `low` to `high` (`simbias.sweep.statistics.interval`) are for the number of experiments; `iterations`
+    is their mean number. `raised` counts trials that ended with an error, which are excluded elsewhere;
+    `paper` is the paper's mean, or nan. Further means are `hardware_seconds`, of all experiments;
+    `success_rate`, the share of test episodes in which the last policies succeed (or last for the horizon, if
+    the task defines no success); `reliable`, the share of trials in which this is at least RELIABLE; and
+    `long_success_rate`, the share of long test episodes that last to their end. Of the `tested` last policies
+    with enough episodes, `holding` pass the report's bar (`simbias.sweep.statistics.holds`).
     """
     names = [axis.name for axis in sweep.axes]
     trials_of: dict[tuple[str, ...], list[dict[Any, Any]]] = {cell.labels: [] for cell in sweep.cells}
@@ -57,7 +56,7 @@ def cells(trials: pd.DataFrame, sweep: Sweep) -> pd.DataFrame:
 
 
 def _measures(trials: Sequence[Mapping[str, Any]], bar: float) -> list[float]:
-    """The measures of a cell but the last."""
+    """The measures of a cell, except the last."""
     outcomes = [trial["outcome"] for trial in trials]
     ended = [trial for trial in trials if trial["outcome"] != "error"]
     counts = (len(ended), outcomes.count("succeeded"), outcomes.count("error"))
@@ -73,18 +72,18 @@ def _measures(trials: Sequence[Mapping[str, Any]], bar: float) -> list[float]:
 
 
 def numbers_of_episodes(tests: Iterable[str]) -> str:
-    """How many test episodes policies had, "4 to 10"; "" where none was tested."""
+    """The range of numbers of test episodes, such as "4 to 10"; "" if no policy was tested."""
     counts = sorted({len(episodes) for episodes in tests if episodes})
     return " to ".join(map(str, dict.fromkeys(counts[:1] + counts[-1:])))
 
 
 def success_rate(episodes: str) -> float:
-    """The share of test episodes that count as a success, "101" of three."""
+    """The share of test episodes that count as a success; "101" means two of three."""
     return episodes.count("1") / len(episodes)
 
 
 def _mean(values: Sequence[float]) -> float:
-    """The mean of those that are known; nan if none is."""
+    """The mean of the known values; nan if there are none."""
     known = [value for value in values if not isnan(value)]
     return float(np.mean(known)) if known else nan
 
@@ -101,7 +100,7 @@ def layout(table: pd.DataFrame, sweep: Sweep) -> Layout:
 def arrange(
     sweep: Sweep, measures: Sequence[str], texts: Callable[[tuple[str, ...]], Sequence[str]]
 ) -> Layout:
-    """Texts of every cell, by its labels: the report's column axis side by side, the other axes downwards."""
+    """Arrange texts of all cells by label: the report's column axis in columns, the other axes in rows."""
     aside = next((axis for axis in sweep.axes if axis.name == sweep.report.columns), None)
     down = [axis for axis in sweep.axes if axis is not aside]
     head = [name for axis in down for name in heads(axis)]
@@ -119,13 +118,13 @@ def arrange(
 
 
 def heads(axis: Axis) -> list[str]:
-    """Heads of an axis' columns: its name, or its keys without their groups, in words."""
+    """Headings of an axis' columns: its name, or its keys without their groups, in words."""
     keys = axis.keys if len(axis.texts[0]) > 1 else [axis.name]
     return [key.split(".")[-1].replace("_", " ") for key in keys]
 
 
 def column_head(axis: Axis, label: str) -> str:
-    """A label at the head of columns; a number says of what."""
+    """A label as the heading of columns; a number comes with its meaning."""
     return f"{'/'.join(heads(axis))} {label}" if axis.numeric else label
 
 
@@ -159,7 +158,7 @@ def _succeeded(row: Mapping[Any, Any]) -> str:
     return share(row["succeeded"], row["trials"]) + "".join(others)
 
 
-# Of a cell, by what `sweep.report.measures` names.
+# Texts of a cell, by the names in `sweep.report.measures`.
 TEXTS: Mapping[str, Callable[[Mapping[Any, Any]], str]] = {
     "experiments": _experiments,
     "iterations": lambda row: _number(row["iterations"]),
@@ -174,7 +173,7 @@ TEXTS: Mapping[str, Callable[[Mapping[Any, Any]], str]] = {
 
 
 def plain(arrangement: Layout) -> str:
-    """A layout as aligned text, its heads on two lines."""
+    """A layout as aligned text, with headings on two lines."""
     heads = [head.rpartition(": " if ": " in head else " ") for head in arrangement.head]
     lines = [[head[0] for head in heads], [head[2] for head in heads], *arrangement.body]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
@@ -185,17 +184,17 @@ def plain(arrangement: Layout) -> str:
 
 
 def left_out(outcomes: Iterable[str]) -> str:
-    """A sentence on trials that raised an error, behind others; "" where none did."""
+    """A sentence on trials that raised an error, to append to others; "" if none did."""
     return _left_out([*outcomes].count("error"), "raised an error")
 
 
 def untested(tests: Iterable[str]) -> str:
-    """Likewise on trials that ended without a test of their last policy."""
+    """A sentence on trials that ended without a test of their last policy; "" if none did."""
     return _left_out([*tests].count(""), "ended without a test")
 
 
 def _left_out(count: int, why: str) -> str:
-    """A sentence on so many trials; "" if there is none."""
+    """A sentence on this number of trials; "" for zero."""
     return f" {counted(count, 'trial')} {why} and {'is' if count == 1 else 'are'} left out." * bool(count)
 
 
@@ -213,7 +212,7 @@ def legend(sweep: Sweep, trials: pd.DataFrame) -> str:
 
 
 def _of_tests(sweep: Sweep, trials: pd.DataFrame) -> str:
-    """The meaning of the numbers of test episodes, where any is shown."""
+    """The meaning of the numbers of test episodes, if any are shown."""
     count = numbers_of_episodes(trials["test_episodes"])
     if not count:
         return ""

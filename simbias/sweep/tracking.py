@@ -1,4 +1,4 @@
-"""Tracking of trials: their folder, and the store to which they are exported."""
+"""Tracking of trials: their folders, and the store to which they are exported."""
 
 from __future__ import annotations
 
@@ -10,35 +10,35 @@ from simbias.trial.observer import Observer
 
 
 class Export(Observer):
-    """Shows a trial or a sweep elsewhere, made from its folder; this one shows nothing."""
+    """Shows a trial or a sweep elsewhere, from its folder; the base class shows nothing."""
 
     def __init__(self, where: str = "") -> None:
         self._where = where
 
     @property
     def where(self) -> str:
-        """One line that tells a person how to look at the kept trial."""
+        """One line about how to view the kept trial."""
         return self._where
 
     def update(self, final: bool = False) -> None:
-        """Bring it up to date with the folder; `final` tells that nothing more comes."""
+        """Update it from the folder; `final` means that nothing more follows."""
 
     def trial_ended(self, folder: Path) -> None:
         """A trial of the sweep has ended or stopped."""
 
 
 class Tracking:
-    """Keeps trials in folders; a subclass may show them elsewhere, too."""
+    """Keeps trials in folders; a subclass may also show them elsewhere."""
 
-    folder: Path | None = None  # of all trials: each has its own, named by its hash; None: nothing is kept
-    pictures: bool = False  # whether pictures are drawn of each trial that has ended
+    folder: Path | None = None  # contains each trial's folder, named by its hash; None: nothing is kept
+    pictures: bool = False  # whether pictures are drawn for each finished trial
 
     def trial_folder(self, identity: str) -> Path | None:
-        """The folder of the trial of this hash; None where nothing is kept."""
+        """The folder of the trial with this hash; None if nothing is kept."""
         return None if self.folder is None else self.folder / identity
 
     def sweep_folder(self, name: str, identity: str) -> SweepFolder:
-        """The folder of the sweep of this name and hash; one of this process where nothing is kept."""
+        """The folder of the sweep with this name and hash; a temporary one if nothing is kept."""
         return SweepFolder((self.folder or workplace()) / "sweeps" / f"{name}_{identity}")
 
     def export_trial(self, folder: Path) -> Export:
@@ -52,7 +52,7 @@ class Tracking:
         return Export(str(folder))
 
     def export_sweep(self, folder: SweepFolder) -> Export:
-        """Show a sweep elsewhere; errors as of `export_trial`."""
+        """Show a sweep elsewhere; errors as for `export_trial`."""
         return Export(str(folder.path) if self.folder else "")
 
 
@@ -64,7 +64,7 @@ class Folders(Tracking):
     trials
         Folder of the trials.
     pictures
-        Whether pictures are drawn of each trial that has ended; in sweeps, of the first trial of each cell.
+        Whether pictures are drawn for each finished trial; in sweeps, for the first trial of each cell.
     """
 
     def __init__(self, trials: str = "trials", pictures: bool = True) -> None:

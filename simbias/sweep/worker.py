@@ -30,39 +30,39 @@ from simbias.trial.run import TrialRecord, run_trial
 from simbias.trial.summary import Outcome, TrialSummary
 
 OTHER_CODE = "{} has other code there than where the sweep was started"
-ROOM = 10_000_000  # bytes that have to be free where a trial begins without a shared disk
+ROOM = 10_000_000  # bytes that must be free for a trial without a shared disk
 GONE = "the folder {} is gone: was it moved while the sweep ran? Move it back, and start the sweep again"
 
 
 class PlannedTrial(NamedTuple):
-    """A trial that is to be run."""
+    """A trial to be run."""
 
     composition: Composition
-    folder: str | None = None  # in which it is kept
-    marker: str = ""  # a file beside it: seen only by workers that share the disk
-    kept: bytes = b""  # what the folder holds so far, for the others
+    folder: str | None = None  # folder in which it is kept
+    marker: str = ""  # a file beside it, visible only to workers that share the disk
+    kept: bytes = b""  # the folder's content so far, for workers without the shared disk
     pictures: tuple[str, ...] = ()  # to draw at its end
-    code: Mapping[str, str] | None = None  # digests, held against the worker's; None: it shares the disk
+    code: Mapping[str, str] | None = None  # digests to compare with the worker's; None: it shares the disk
 
 
 class Result(NamedTuple):
     """A trial that ended or stopped."""
 
     summary: TrialSummary
-    traceback: str = ""  # where no folder keeps it
-    packed: bytes = b""  # its folder, of a worker that shares no disk
+    traceback: str = ""  # if no folder keeps it
+    packed: bytes = b""  # its folder, from a worker without a shared disk
 
 
 def run_plan(plan: PlannedTrial) -> Result:
-    """Run or resume a trial; without a shared disk in a folder of its own, as only what is sent counts.
+    """Run or resume a trial; without a shared disk, in the worker's own folder, from the sent content.
 
-    A cluster's worker raises a WorkplaceError if no trial can begin there: code or room are missing.
+    A cluster's worker raises a WorkplaceError if no trial can begin there: code or disk space is missing.
     """
     apart = bool(plan.marker) and not Path(plan.marker).exists()
     folder = None if plan.folder is None else Path(plan.folder)
-    begun = plan.code is None  # else the workplace may be another one than where the sweep was started
+    begun = plan.code is None  # otherwise the worker may be on another machine
     with warnings.catch_warnings(), ExitStack() as stack:
-        warnings.simplefilter("ignore", SlowWarning)  # a line for each fit of each trial is too many
+        warnings.simplefilter("ignore", SlowWarning)  # would print a line for each fit of each trial
         try:
             if folder is not None and apart:
                 folder = Path(stack.enter_context(temporary_folder()), folder.name)
@@ -73,7 +73,7 @@ def run_plan(plan: PlannedTrial) -> Result:
             elif folder is not None and not folder.parent.exists():
                 return lost(GONE.format(folder.parent))
             study = build(plan.composition)
-            theirs = code(plan.composition) if plan.code else {}  # some may be loaded there or here alone
+            theirs = code(plan.composition) if plan.code else {}  # some may be loaded only there or here
             if other := [
                 name for name, digest in (plan.code or {}).items() if theirs.get(name, digest) != digest
             ]:
@@ -85,7 +85,7 @@ def run_plan(plan: PlannedTrial) -> Result:
             packed, summary = b"", record.summary
             if folder is not None and apart:
                 packed = pack(folder)
-                if summary.traceback_file:  # it lies where the folder is laid out
+                if summary.traceback_file:  # it will be where the folder is unpacked
                     there = Path(str(plan.folder), Path(summary.traceback_file).name)
                     summary = replace(summary, traceback_file=str(there))
         except KeyboardInterrupt:
@@ -101,7 +101,7 @@ def run_plan(plan: PlannedTrial) -> Result:
 
 
 def _illustrate(record: TrialRecord, folder: Path, names: Sequence[str]) -> None:
-    """Draw a trial; after an error, as of a full disk, the next start of the sweep draws it."""
+    """Draw a trial; after an error, such as a full disk, the next start of the sweep draws it."""
     from simbias.pictures.trial.gallery import illustrate  # lazily: most trials have none
 
     try:
@@ -111,23 +111,23 @@ def _illustrate(record: TrialRecord, folder: Path, names: Sequence[str]) -> None
 
 
 def _where(error: BaseException) -> str:
-    """The machine and folder of a cluster's worker, and where it finds modules."""
+    """The machine and folder of a cluster's worker, and its module path."""
     modules = "" if isinstance(error, OSError) else "; its PYTHONPATH finds modules"
     return f" (on {gethostname()}, in {Path.cwd()}{modules})"
 
 
 def code(composition: Composition) -> Mapping[str, str]:
-    """Digests of simbias and of the user's modules that a composition, once built, comes from."""
+    """Digests of simbias and of the user's modules used by a composition, once built."""
     return {"simbias": package_digest(), **composition.code}
 
 
 def lost(reason: str) -> Result:
-    """The result of a trial that could not begin, or whose workers died; its folder has what it did."""
+    """The result of a trial that could not begin, or whose workers died; its folder keeps its progress."""
     return Result(TrialSummary(Outcome.ERROR, reason=reason, ended=time.time()))
 
 
 def pack(folder: Path) -> bytes:
-    """A trial's folder as a zip file, trial.json first and its outcome last, as they were written."""
+    """A trial's folder as a zip file, in the order of writing: trial.json first, its outcome last."""
     stream, files, last = io.BytesIO(), TrialFolder(folder).files(), Path(OUTCOME).stem
     try:
         with zipfile.ZipFile(stream, "w") as archive:
@@ -139,7 +139,7 @@ def pack(folder: Path) -> bytes:
 
 
 def goes_on(packed: bytes, folder: Path) -> bool:
-    """Whether what a worker sent follows what the folder holds: each run or withdrawal is a line more."""
+    """Whether a worker's result continues the folder's content: each run or withdrawal adds a line."""
     file = folder / ATTEMPTS
     with zipfile.ZipFile(io.BytesIO(packed)) as archive:
         sent = archive.read(ATTEMPTS) if ATTEMPTS in archive.namelist() else b""
@@ -147,7 +147,7 @@ def goes_on(packed: bytes, folder: Path) -> bool:
 
 
 def unpack(packed: bytes, folder: Path) -> None:
-    """Lay out a trial's folder that travelled: each file is there in whole or not at all."""
+    """Unpack a transferred trial's folder, writing each file atomically."""
     with zipfile.ZipFile(io.BytesIO(packed)) as archive:
         for name in archive.namelist():
             path = folder / name

@@ -1,4 +1,4 @@
-"""Figures of sweeps; those that belong to a single shipped sweep lie beside it, in `sweeps/figures/`."""
+"""Figures of sweeps; figures of a single shipped sweep lie beside it, in `sweeps/figures/`."""
 
 from simbias.config.resources import resource_folder
 

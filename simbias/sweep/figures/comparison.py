@@ -1,4 +1,4 @@
-"""Methods against each other, over all cells of a sweep."""
+"""Comparison of methods over all cells of a sweep."""
 
 from __future__ import annotations
 
@@ -33,38 +33,37 @@ from simbias.sweep.statistics import (
 )
 from simbias.sweep.tables import untested
 
-WIDTH, ROW, CURVES, REST = 7.2, 0.19, 2.9, 2.0  # in: of the figure, of a method, of the curves, of all else
+WIDTH, ROW, CURVES, REST = 7.2, 0.19, 2.9, 2.0  # in: width; heights of a method's row, the curves, the rest
 TINY = 7  # points
-LETTERS = 34  # of a line of a method's name
+LETTERS = 34  # per line of a method's name
 MOST = 8  # curves in a panel
-BELOW = 1.6 / 72  # in, by which a curve lies below one that is the same
+BELOW = 1.6 / 72  # in, offset of a curve below an identical one
 SLANTED: dict[str, Any] = {"rotation": 55, "ha": "right", "va": "top", "rotation_mode": "anchor"}
 THRESHOLDS = np.linspace(0, 1, 101)
 
 
 class Comparison(SweepFigure):
-    """Each point of an axis against all, over the cells of the other axes, by what its last policies hold.
+    """Compares the points of an axis over the cells of the other axes, by what their last policies hold.
 
-    A trial's score is the share of its test episodes that its last policy passes: they succeed, and last to
-    their end. It counts as a success where that policy holds (`simbias.sweep.statistics.holds`). Trials that
-    raised an error or ended without a test are left out, and where `holds` counts those with fewer episodes
-    than it takes; only where the caption says which methods hold most often, errors count against them.
-    Above: mean score in each cell, and the interquartile mean with its bootstrap interval.
-    Below: performance profiles, and the share of trials that are a success within so many experiments.
-    Intervals and tests are over cells, since trials of a cell may be copies of one, as those of LQR are: a
-    Wilson interval is that of as many trials as there are cells. Of a single cell they are over its trials,
-    of which those with the same policy count once.
+    A trial's score is the share of test episodes that its last policy passes: they succeed, and last to their
+    end. The trial counts as a success if that policy holds (`simbias.sweep.statistics.holds`). Trials that
+    raised an error or ended without a test are left out; counts by `holds` also leave out those with too few
+    episodes. Only in the caption's ranking of methods do errors count against them. Above: mean score in each
+    cell, and the interquartile mean with its bootstrap interval. Below: performance profiles, and the share
+    of successful trials within a number of experiments. Intervals and tests are over cells, since trials of a
+    cell may be copies of one, as for LQR: a Wilson interval uses the number of cells as the number of trials.
+    For a single cell, they are over its trials; trials with the same policy count once.
 
     Parameters
     ----------
     axis
-        Whose points are compared.
+        The axis whose points are compared.
     references
-        Points that all others are held against: by the probability of improvement, and by exact sign tests of
-        the cells' shares of trials that are a success, or of a single cell's pairs of trials, corrected by
-        Holm over all tests against one reference.
+        Points with which all others are compared: by the probability of improvement, and by exact sign tests
+        on the cells' shares of successful trials, or on a single cell's pairs of trials, with Holm's
+        correction over all tests against one reference.
     curves
-        Points whose curves are drawn; none named: the first eight.
+        Points whose curves are drawn; by default the first eight.
     """
 
     reads_trials = False
@@ -84,7 +83,7 @@ class Comparison(SweepFigure):
         Raises
         ------
         FigureError
-            If no policy was tested, no trial ran to an end, or there is no such axis or point.
+            If no policy was tested, no trial ended without an error, or there is no such axis or point.
         """
         labels = {axis.name: axis.labels for axis in trials.sweep.axes}
         named = [*self._references, *self._curves]
@@ -111,16 +110,16 @@ class Comparison(SweepFigure):
 
 
 def _scored(table: pd.DataFrame, bar: float) -> pd.DataFrame:
-    """The trials, with what their last policies hold; nan of those that do not count."""
+    """The trials with their scores and whether their last policies hold; nan for those that do not count."""
     tests = [*map(passed, table["test_episodes"], table["lasting_episodes"])]
     scores = np.array([text.count("1") / len(text) if text else np.nan for text in tests])
     score = np.where(table["outcome"] == "error", np.nan, scores)
-    policy = table["policy"].where(table["policy"] != "", table["hash"])  # some published results lack it
+    policy = table["policy"].where(table["policy"] != "", table["hash"])  # may be unpublished
     return table.assign(score=score, holds=verdicts(tests, bar), policy=policy)
 
 
 class _Method:
-    """The trials of a method, with scores and the share that holds in each cell, by the others' labels."""
+    """The trials of a method, with scores and the share that holds, by cell (labels of the other axes)."""
 
     def __init__(self, trials: pd.DataFrame, others: list[str]) -> None:
         self.trials = trials[trials["score"].notna()].set_index([*others, "repetition"])
@@ -132,11 +131,11 @@ class _Method:
         self.tried = [name for name, scores in self.scores.items() if scores.notna().any()]
 
     def matrix(self, cells: Sequence[Any]) -> Array:
-        """Scores (r, c) in these cells, nan of trials that are not there."""
+        """Scores (r, c) in these cells; nan for missing trials."""
         return pd.DataFrame([self.scores[cell] for cell in cells]).to_numpy().T
 
     def row(self, name: str) -> dict[str, Any]:
-        """The method in numbers."""
+        """The method's numbers."""
         held, judged = int(self.trials["holds"].sum()), int(self.trials["holds"].count())
         scores, units = self.matrix(self.tried), int(np.isfinite([*self.holding.values()]).sum())
         if units == 1:
@@ -179,7 +178,7 @@ def _against(methods: dict[str, _Method], reference: _Method) -> pd.DataFrame:
 
 
 def _of_pairs(method: _Method, reference: _Method) -> list[float]:
-    """Differences of a cell's pairs of trials in whether they hold; those of the same policies count once."""
+    """Differences in whether trials hold, over a cell's pairs; pairs with the same policies count once."""
     both = method.trials.join(reference.trials.add_suffix(" of reference"), how="inner")
     different = both[~both.duplicated(["policy", "policy of reference"])]
     return (different["holds"] - different["holds of reference"]).tolist()
@@ -187,7 +186,7 @@ def _of_pairs(method: _Method, reference: _Method) -> list[float]:
 
 def _caption(numbers: pd.DataFrame, sweep: Sweep) -> str:
     """The caption, from the numbers."""
-    shares = numbers["holds"] / (numbers["judged"] + numbers["raised"])  # where nothing ended, nothing holds
+    shares = numbers["holds"] / (numbers["judged"] + numbers["raised"])  # if nothing ended, nothing holds
     best = numbers[shares == shares.max()].to_dict("records")
     held = ", ".join(map(_held, best))
     alike = len(best) == shares.count() > 1
@@ -228,7 +227,7 @@ def _figure(methods: dict[str, _Method], numbers: pd.DataFrame, curves: dict[str
 
 
 def _label(name: str, method: _Method) -> str:
-    """A method's name, and how many of its trials raised an error, in lines."""
+    """A method's name and its number of trials with errors, in lines."""
     return fill(literal(name) + f", {method.raised} raised" * bool(method.raised), LETTERS)
 
 
@@ -300,7 +299,7 @@ def _draw_curves(figure: SubFigure, methods: dict[str, _Method]) -> None:
 
 
 def _draw_curve(axes: Axes, x: Array, y: Array, **style: Any) -> Line2D:
-    """A curve, just below those that are the same."""
+    """A curve, drawn slightly below identical ones."""
     same = sum(np.array_equal(line.get_xydata(), np.column_stack([x, y])) for line in axes.lines)
     (line,) = axes.plot(x, y, **style)
     line.set_transform(axes.transData + ScaledTranslation(0, -same * BELOW, axes.figure.dpi_scale_trans))

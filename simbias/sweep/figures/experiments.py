@@ -25,17 +25,17 @@ if TYPE_CHECKING:
 
     from simbias.sweep.grid import Sweep
 
-WIDTH, REST = 7.2, 0.8  # in, of two columns of a paper; of the height, all but the rows
-ROW, CURVE, LINE = 0.3, 0.16, 0.17  # in: of a point at least, of each of its curves, of a line of its label
-LETTERS = 40  # of such a line
-PAPER_BELOW = 0.06  # in, by which the paper's mean lies below ours
+WIDTH, REST = 7.2, 0.8  # in: width of two columns of a paper; height without the rows
+ROW, CURVE, LINE = 0.3, 0.16, 0.17  # in: minimum per point, per curve, per line of its label
+LETTERS = 40  # per line of a label
+PAPER_BELOW = 0.06  # in, offset of the paper's mean below ours
 
 
 class Experiments(SweepFigure):
-    """Table II: mean number of experiments of each cell, along the first axis that is not in columns.
+    """Table II: mean number of experiments in each cell, along the first axis that is not in columns.
 
-    A row for each point of that axis. Bars are bootstrap intervals, hollow markers the paper's means; where
-    not every trial succeeded, a fraction says how many did, and how many raised an error.
+    A row for each point of that axis. Bars are bootstrap intervals, hollow markers the paper's means; if not
+    every trial succeeded, a fraction shows how many did, and how many raised an error.
     """
 
     reads_trials = False
@@ -67,7 +67,7 @@ def _caption(table: pd.DataFrame) -> str:
 
 def _figure(table: pd.DataFrame, sweep: Sweep) -> Figure:
     """The points of an axis, a curve for each combination of the others."""
-    from matplotlib.figure import Figure  # lazily: a sweep is announced before anything is drawn
+    from matplotlib.figure import Figure  # lazily: a sweep is announced before drawing is needed
 
     along = next((axis for axis in sweep.axes if axis.name != sweep.report.columns), sweep.axes[0])
     others = [axis for axis in sweep.axes if axis is not along]
@@ -102,7 +102,7 @@ def _ours_first(axes: Axes) -> dict[str, Artist]:
 
 
 def _curve(axes: Axes, own: pd.DataFrame, offset: float, below: float, index: int, name: str) -> None:
-    """The cells of one curve, moved down so that no interval hides another."""
+    """The cells of one curve, offset so that no interval hides another."""
     y = np.arange(len(own)) + offset
     mean, low, high = (own[column].to_numpy(dtype=float) for column in ("mean", "low", "high"))
     color, marker = series_style(index)

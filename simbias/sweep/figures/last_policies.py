@@ -19,17 +19,17 @@ from simbias.sweep.figure import UNTESTED, FigureError, Picture, SweepFigure, Sw
 from simbias.sweep.grid import LASTS
 from simbias.sweep.tables import RELIABLE, numbers_of_episodes, success_rate, untested
 
-ROW, REST, WIDTH = 0.3, 1.1, 7.2  # in, of a cell and of all else
-LETTERS, LINE = 44, 0.17  # of a line of a cell's label; in, its height
-RIGHTMOST = 1.06  # of the axis over the largest number of experiments, so that its dots are whole
+ROW, REST, WIDTH = 0.3, 1.1, 7.2  # in: per cell; the rest; width
+LETTERS, LINE = 44, 0.17  # per line of a cell's label; its height in in
+RIGHTMOST = 1.06  # axis limit relative to the largest number of experiments, so that dots are not clipped
 COLORS = {"experiments": SIMULATION, "success_rate": HARDWARE}
 
 
 class LastPolicies(SweepFigure):
     """Each trial of each cell: its experiments, and the share of test episodes that its last policy passes.
 
-    A dot is a trial, a bar the mean of its cell. A long test episode of a task without success of its own
-    counts if it lasts for the task's horizon, also if it fails later; `Comparison` asks for its end.
+    A dot is a trial, a bar the mean of its cell. If the task defines no success, a long test episode counts
+    if it lasts for the task's horizon, even if it fails later; `Comparison` requires it to reach its end.
     """
 
     reads_trials = False
@@ -80,7 +80,7 @@ def _caption(numbers: pd.DataFrame, episodes: str, success: str) -> str:
 
 
 def _figure(numbers: pd.DataFrame, cells: Sequence[str], words: str) -> Figure:
-    """Experiments beside shares, a row for each cell, the first one on top."""
+    """Experiments beside shares, with a row for each cell, the first on top."""
     labels = [fill(literal(cell), LETTERS) for cell in cells]
     row = max(ROW, LINE * (1 + max(label.count("\n") for label in labels)))
     figure = Figure(figsize=(WIDTH, row * len(cells) + REST), layout="constrained")
