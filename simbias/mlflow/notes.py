@@ -1,4 +1,4 @@
-"""The notes of runs, in markdown: what ran, what came out, how it ended."""
+"""The notes of runs in Markdown: setup, results, outcome."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from simbias.core.messages import counted
 from simbias.trial.folder import Withdrawal
 from simbias.trial.summary import COLUMNS, IDENTIFIED, PARAMETERS, Outcome, TrialSummary, cells, parameters
 
-NOTE_LENGTH = 8000  # characters that MLflow keeps of a note
-SHOWN_ROWS = 40  # which fit into it
+NOTE_LENGTH = 8000  # maximum characters of a note in MLflow
+SHOWN_ROWS = 40  # rows that fit into it
 MORE = "\n\n{} more rows are in `table.md` once the sweep has ended."
 REASON_LENGTH = 500
 ARTIFACTS = "Artifacts: `config.yaml`, `trial/` (searches, experiments, iterations), `pictures/` if drawn."
@@ -49,7 +49,7 @@ def note(
 
 
 def with_table(text: str, table: str) -> str:
-    """A text and a table behind it, as much of them as MLflow keeps."""
+    """A text followed by a table, truncated to MLflow's limit."""
     rows = table.splitlines()
     room = NOTE_LENGTH - len(f"\n\n{MORE.format(len(rows))}")
     text = text[:room]
@@ -68,6 +68,6 @@ def _verdict(summary: TrialSummary) -> str:
 
 
 def _under_way(rows: Sequence[Row], running: bool) -> str:
-    """How far a trial came that has neither ended nor stopped by itself."""
+    """The progress of a trial that is running, or was killed."""
     experiments = counted(rows[-1]["total_experiments"] if rows else 0, "hardware experiment")
     return f"**{'Running' if running else 'Killed'}** after {counted(len(rows), 'iteration')}, {experiments}."

@@ -7,31 +7,31 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-MODE = "workflowType=machine_learning"  # else the UI opens in its mode for language models
+MODE = "workflowType=machine_learning"  # otherwise the UI opens in its mode for language models
 VIEW = "mlflow.sharedViewState."  # MLflow's prefix of an experiment's tags that hold views
 NOTE = "mlflow.note.content"  # MLflow's tag for a run's description
-RUN_NAME = "mlflow.runName"  # MLflow's tag for its name
+RUN_NAME = "mlflow.runName"  # MLflow's tag for a run's name
 PARENT = "mlflow.parentRunId"  # MLflow's tag that nests runs
-AXIS = "axis."  # prefix of the tags that say where on the sweep's axes a trial lies
+AXIS = "axis."  # prefix of the tags with a trial's position on the sweep's axes
 EXPERIMENTS, OUTCOME = "metrics.`trial/experiments`", "tags.`outcome`"
 
 
 def run_page(experiment_id: str, run_id: str, file: str = "") -> str:
-    """Address of a run, or of a picture among its files, within the UI."""
+    """Address within the UI of a run, or of a picture among its files."""
     artifact = f"/artifacts/{file}" if file else ""
     return f"#/experiments/{experiment_id}/runs/{run_id}{artifact}?{MODE}"
 
 
 def list_page(experiment_id: str, sweep: str = "") -> str:
-    """Address, within the UI, of all runs, or of the trials of a sweep's hash as `trials_view` lists them."""
+    """Address within the UI of all runs, or of a sweep's trials as listed by `trials_view`."""
     view = f"&viewStateShareKey={sweep}" if sweep else ""
     return f"#/experiments/{experiment_id}/runs?{MODE}{view}"
 
 
 def trials_view(sweep: Mapping[str, Any], parent: str) -> tuple[str, str]:
-    """Tag of the experiment (key, value) for MLflow to list a sweep's trials: fewest experiments first.
+    """Experiment tag (key, value) that makes MLflow list a sweep's trials, fewest experiments first.
 
-    Without success a trial counts as all that its method may make.
+    A trial without success counts as the method's maximum.
     """
     columns = [EXPERIMENTS, OUTCOME, *map(_column, sweep["axes"])]
     state: dict[str, Any] = {
@@ -55,11 +55,11 @@ def trials_view(sweep: Mapping[str, Any], parent: str) -> tuple[str, str]:
 
 
 def _column(axis: Mapping[str, Any]) -> str:
-    """The column that tells where on an axis a trial lies: its parameter, or of several the label."""
+    """The column of a trial's position on an axis: its parameter or, if there are several, the label."""
     return f"params.`{axis['keys'][0]}`" if len(axis["keys"]) == 1 else f"tags.`{AXIS}{axis['name']}`"
 
 
 def _width(column: str) -> int:
-    """Pixels that show all of a column's head, and an outcome."""
+    """Pixels needed to show a column's heading, and an outcome."""
     _, head, _ = column.split("`")
     return max(110, 25 + 13 * len(head) // 2)

@@ -1,6 +1,6 @@
-"""Runs of an MLflow store that trials and sweeps are exported to, found again by their hash.
+"""Runs of an MLflow store, to which trials and sweeps are exported; identified by their hash.
 
-A few large writes take a fraction of many small ones' time.
+A few large writes take a fraction of the time of many small ones.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ if TYPE_CHECKING:
     from mlflow import MlflowClient
     from mlflow.entities import Run
 
-URI, EXPERIMENT = "sqlite:///mlflow.db", "simbias"  # where none are named
+URI, EXPERIMENT = "sqlite:///mlflow.db", "simbias"  # defaults
 AWAY = "simbias: MLflow: %s. All is kept in %s; once the store is back, this shows it:  %s"
 NOT_EXPORTED = "simbias: MLflow does not show a trial: %s"
 
 Point = tuple[str, float, int, float]  # name, value, step, s since the epoch
-Files = Mapping[str, Path | bytes]  # by their names among the artifacts: what is copied, or written
+Files = Mapping[str, Path | bytes]  # by artifact name: a file to copy, or content to write
 
 
 class Runs:
@@ -42,12 +42,12 @@ class Runs:
     Raises
     ------
     ConfigError
-        If the store cannot be used; a server that is away is reported by `reach`, and stops nothing.
+        If the store cannot be used; an unreachable server is only reported, by `reach`.
     """
 
     def __init__(self, uri: str, experiment: str, trials: Path) -> None:
         self.uri, self._experiment, self._trials = uri, experiment, trials
-        self.away = False  # the store, when it was last written to
+        self.away = False  # whether the store was unreachable at the last write
         self._client: MlflowClient | None = None
         if not store.is_server(self.uri):
             self._connect()
@@ -66,7 +66,7 @@ class Runs:
         Raises
         ------
         ConfigError
-            If it cannot be used, or is not where it was any more, where MLflow would begin another one.
+            If it cannot be used, or has vanished from its place, where MLflow would create a new one.
         """
         if self._client is None:
             return self._connect()
@@ -77,14 +77,14 @@ class Runs:
         return self._client
 
     def address(self, identity: str, run_id: str) -> str:
-        """The way to look at the run of a hash: a command, or the page of a server."""
+        """How to view the run of a hash: a command, or a page on a server."""
         if store.is_server(self.uri):
             uri = redact(self.uri, self.uri)
             return f"{uri.rstrip('/')}/{pages.run_page(self.experiment_id, run_id)}"
         return self._command("ui", identity)
 
     def _command(self, *words: str, **more: tuple[object, object]) -> str:
-        """A command on this store, to be pasted; `more` are values of tracking, each with the usual one."""
+        """A command on this store, for pasting; `more` are tracking values, each with its default."""
         uri = redact(self.uri, self.uri)
         values = {"uri": (uri, URI), "experiment": (self._experiment, EXPERIMENT), **more}
         changed = [f"tracking.{key}={value}" for key, (value, usual) in values.items() if value != usual]
@@ -92,11 +92,11 @@ class Runs:
 
     @property
     def export_command(self) -> str:
-        """The command that shows all trials in the store, to be pasted."""
+        """The command that exports all trials to the store, for pasting."""
         return self._command("export", trials=(self._trials, store.trials_beside(self.uri)))
 
     def page(self, identity: str | None) -> str:
-        """The page, within the UI, of the run of this hash, or of all; a ConfigError if no run has it."""
+        """The page within the UI of the run with this hash, or of all runs; ConfigError if there is none."""
         if identity is None:
             return pages.list_page(self.experiment_id)
         found = self._search(f"tags.hash = '{identity}'") if identity.isalnum() else iter(())
@@ -106,7 +106,7 @@ class Runs:
         return pages.run_page(self.experiment_id, run.info.run_id)
 
     def reach(self, write: Callable[[], None], again: bool = False) -> None:
-        """Write into the store; one that fails is reported once, and left alone until `again`."""
+        """Write to the store; a failure is reported once, and the store is then skipped until `again`."""
         if self.away and not again:
             return
         try:
@@ -119,19 +119,19 @@ class Runs:
             self.away = True
 
     def find(self, identity: str, parent: str = "") -> list[Run]:
-        """The runs of this hash in a parent, or in no sweep; those that somebody deleted are not found."""
+        """The runs with this hash in a parent, or in no sweep, without deleted ones."""
         found = self._search(f"tags.hash = '{identity}'")
         return [run for run in found if run.data.tags.get(pages.PARENT, "") == parent]
 
     def making(self) -> AbstractContextManager[None]:
-        """While a run is looked up and made if need be, no other process of this machine makes one here."""
+        """A lock for looking up or creating a run, against other processes on this machine."""
         seconds = store.MAKING_SECONDS
         taken = ConfigError("tracking.uri", f"another process has been making a run for {seconds:g} s")
         name = short_digest(f"{store.database(self.uri) or self.uri} {self._experiment}".encode())
         return locked(cache_folder("stores") / f"{name}.lock", seconds, taken)
 
     def nested(self, parent: str) -> dict[str, list[Run]]:
-        """The runs of a sweep's trials by their hash, newest first."""
+        """The runs of a sweep's trials by hash, newest first."""
         found: dict[str, list[Run]] = {}
         for run in self._search(f"tags.`{pages.PARENT}` = '{parent}'"):
             found.setdefault(run.data.tags.get("hash", ""), []).append(run)
@@ -144,7 +144,7 @@ class Runs:
         )
 
     def end(self, run: Run, status: str, end_time: int | None = None) -> None:
-        """Set a run's status, and its end in ms since the epoch, now if None, unless they are set."""
+        """Set a run's status, and its end in ms since the epoch (now if None), unless already set."""
         if run.info.status == status and end_time in (None, run.info.end_time):
             return
         if status == "RUNNING":
@@ -164,7 +164,7 @@ class Runs:
 
 
 def readable(write: Callable[[], None]) -> bool:
-    """Write; a file of a trial that cannot be read is reported, and is no failure of the store."""
+    """Write; an unreadable file of a trial is reported, but is not a failure of the store."""
     try:
         write()
     except ConfigError as error:
@@ -176,28 +176,28 @@ def readable(write: Callable[[], None]) -> bool:
 
 
 class RunExport(Export):
-    """Brings a run, which is made if need be, up to date with a folder."""
+    """Updates a run from a folder, creating it if necessary."""
 
     def __init__(self, runs: Runs, path: Path) -> None:
         super().__init__()
         self.runs, self.path = runs, path
         self.run_id = ""
-        self._uploaded: dict[str, int | None] | None = None  # sizes of files among the run's artifacts
+        self._uploaded: dict[str, int | None] | None = None  # file sizes of the run's artifacts
 
     @abstractmethod
     def write(self, final: bool = False) -> None:
-        """Write what the run lacks, or raise a ConfigError if a file of the folder cannot be read.
+        """Write what the run lacks; a ConfigError if a file of the folder cannot be read.
 
-        `final` tells that nothing more comes.
+        `final` means that nothing more follows.
         """
 
     def update(self, final: bool = False) -> None:
-        """Bring the run up to date; `final` tries a store again that was away."""
+        """Update the run; `final` retries an unreachable store."""
         self.runs.reach(lambda: self.write(final), final)
 
     @property
     def where(self) -> str:
-        """The way to look at the run; its folder, and how to show it later, while the store is away."""
+        """How to view the run; if the store is unreachable, its folder and how to export it later."""
         if self.runs.away:
             return f"{self.path}; in MLflow, once the store is back:  {self.runs.export_command}"
         identity = self.path.name.rpartition("_")[2]  # a sweep's name comes before its hash
@@ -212,8 +212,8 @@ class RunExport(Export):
         metrics: Sequence[Point],
         again: bool = False,
     ) -> None:
-        """Write numbers and texts; before them files that are not there in this size, `again` all."""
-        known, self._uploaded = self._uploaded, None  # is looked up again after a failure
+        """Write numbers and texts, after files that are missing or differ in size (all files if `again`)."""
+        known, self._uploaded = self._uploaded, None  # looked up again after a failure
         if known is None:
             folders = {name.rpartition("/")[0] for name in files} if pages.NOTE in run.data.tags else ()
             listed = (self.runs.client.list_artifacts(run.info.run_id, folder or None) for folder in folders)
@@ -225,7 +225,7 @@ class RunExport(Export):
 
 
 def size(content: Path | bytes) -> int:
-    """The number of bytes that a file will have."""
+    """The size of a file in bytes."""
     return len(content) if isinstance(content, bytes) else content.stat().st_size
 
 
@@ -237,7 +237,7 @@ def flush(
     metrics: Sequence[Point],
     tags: Mapping[str, str],
 ) -> None:
-    """Write all of it: files first, so that who finds metrics finds all; these in their order."""
+    """Write everything: files first, so that metrics appear last; metrics in their order."""
     from mlflow.entities import Metric, Param, RunTag
 
     if files:
@@ -247,7 +247,7 @@ def flush(
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_bytes(content) if isinstance(content, bytes) else shutil.copyfile(content, path)
             client.log_artifacts(run_id, folder)
-    client.log_batch(  # in as many parts as MLflow takes at once
+    client.log_batch(  # in parts of the size that MLflow accepts
         run_id,
         metrics=[Metric(name, value, int(1000 * time), step) for name, value, step, time in metrics],
         params=[Param(key, value) for key, value in parameters.items()],

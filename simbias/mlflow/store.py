@@ -1,4 +1,4 @@
-"""Reaching an MLflow store: quietly, and failing within seconds where MLflow would try for minutes."""
+"""Access to an MLflow store: quiet, and failing within seconds where MLflow would retry for minutes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ QUIET = {
     "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true",
 }
 IMPATIENT = {"MLFLOW_HTTP_REQUEST_MAX_RETRIES": "0", "MLFLOW_HTTP_REQUEST_TIMEOUT": "10"}  # seconds
-LOGGERS = ("mlflow", "alembic", "sqlalchemy.pool")  # they log, with a traceback, what is raised too
+LOGGERS = ("mlflow", "alembic", "sqlalchemy.pool")  # they log errors, with tracebacks, that are also raised
 OTHER_VERSION = "of another version of MLflow; update MLflow, or make a copy and run `mlflow db upgrade URI`"
 NO_FOLDER = "MLflow no longer uses folders as stores; sqlite:///FILE works, and the address of a server"
 KNOWN = {
@@ -36,20 +36,20 @@ KNOWN = {
     "filesystem tracking backend": NO_FOLDER,
     "determine home directory": "MLflow needs a home directory; HOME names one",
 }
-DATABASE_SERVERS = ("postgresql", "mysql", "mssql")  # that MLflow's documentation names
+DATABASE_SERVERS = ("postgresql", "mysql", "mssql")  # named in MLflow's documentation
 SQLITE = re.compile(r"sqlite(\+\w+)?:(//)?(/(?P<file>[^?]*))?(\?.*)?")
 ARTIFACTS = "mlartifacts"  # folder of a SQLite store's files, beside it
 MOVED = (
     "was moved or copied: its files are in {}; delete it, and `export` makes it again, "
     "with its tracking.uri and the tracking.trials"
 )
-MAKING_SECONDS = 120.0  # that a process waits for another one that makes the same store
+MAKING_SECONDS = 120.0  # that a process waits while another creates the same store
 
 
 def connect(uri: str, experiment: str) -> tuple[MlflowClient, str]:
-    """A client of the store and the experiment's id; the experiment, and a SQLite store, are made if need be.
+    """A client and the experiment's id; the experiment and a SQLite store are created if necessary.
 
-    If the store cannot be used, a ConfigError comes within seconds.
+    If the store cannot be used, a ConfigError is raised within seconds.
     """
     with reaching(uri):
         artifacts = _probe_database(uri)
@@ -58,13 +58,13 @@ def connect(uri: str, experiment: str) -> tuple[MlflowClient, str]:
 
 
 def file_number(file: Path | None) -> int:
-    """The file system's number of a SQLite store's file; 0 if it is gone, or there is none."""
+    """The inode number of a SQLite store's file; 0 if there is none."""
     return file.stat().st_ino if file is not None and file.exists() else 0
 
 
 @contextmanager
 def reaching(uri: str) -> Iterator[None]:
-    """MLflow quiet and impatient; what is raised, as a line that names the store."""
+    """Make MLflow quiet and impatient; errors become one line that names the store."""
     for name, value in QUIET.items():
         os.environ.setdefault(name, value)
     try:
@@ -83,12 +83,12 @@ def reaching(uri: str) -> Iterator[None]:
 
 
 def is_server(uri: str) -> bool:
-    """Whether a store is a server, which may be away for a while."""
+    """Whether a store is a server, which may be temporarily unreachable."""
     return uri.startswith(("http://", "https://"))
 
 
 def client_of(uri: str) -> MlflowClient:
-    """MLflow's client of a store; a relative file of a SQLite store is that of today's working folder."""
+    """MLflow's client of a store; relative SQLite files are resolved in the current working folder."""
     from mlflow import MlflowClient
 
     match, file = SQLITE.fullmatch(uri), database(uri)
@@ -97,7 +97,7 @@ def client_of(uri: str) -> MlflowClient:
 
 
 def _experiment_id(client: MlflowClient, name: str, artifacts: str | None) -> str:
-    """Find the experiment or create it, its files at `artifacts`."""
+    """Find or create the experiment, with its files at `artifacts`."""
     from mlflow.exceptions import MlflowException
 
     known = client.get_experiment_by_name(name)
@@ -106,7 +106,7 @@ def _experiment_id(client: MlflowClient, name: str, artifacts: str | None) -> st
             return client.create_experiment(name, artifact_location=artifacts)
         except MlflowException:
             known = client.get_experiment_by_name(name)
-            if known is None:  # else another process created it meanwhile
+            if known is None:  # otherwise another process created it meanwhile
                 raise
     if known.lifecycle_stage != "active":
         raise ConfigError("tracking.experiment", f"{name} is deleted in the store; restore it")
@@ -117,7 +117,7 @@ def _experiment_id(client: MlflowClient, name: str, artifacts: str | None) -> st
 
 
 def _probe_database(uri: str) -> str | None:
-    """Fail at once where MLflow would try for minutes; return where a SQLite store's files belong."""
+    """Fail at once where MLflow would retry for minutes; return the place for a SQLite store's files."""
     path = database(uri)
     if path is None:
         if re.split(r"[:+]", uri)[0] in DATABASE_SERVERS:
@@ -134,10 +134,10 @@ def _probe_database(uri: str) -> str | None:
         _make(path)
     with closing(sqlite3.connect(path)) as file:
         tables = {name for (name,) in file.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
-        if tables and "alembic_version" not in tables:  # Alembic's, with which MLflow lays out databases
+        if tables and "alembic_version" not in tables:  # table of Alembic, which manages MLflow's schema
             raise ValueError("the database of another program")
         file.execute("BEGIN IMMEDIATE")
-        file.execute("CREATE TABLE probe (value)")  # fails where it cannot be written; never committed
+        file.execute("CREATE TABLE probe (value)")  # fails if not writable; never committed
     return artifacts.as_uri()
 
 
@@ -147,13 +147,13 @@ def _is_made(path: Path) -> bool:
 
 
 def _make(path: Path) -> None:
-    """Make a SQLite store elsewhere, and put it in its place once it is whole.
+    """Create a SQLite store elsewhere, and move it into place once complete.
 
-    MLflow can never use a database again in whose making it was killed.
+    MLflow cannot use a database if it was killed while creating it.
     """
     taken = ConfigError("tracking.uri", f"another process has been making {path} for {MAKING_SECONDS:g} s")
     with locked(path.with_name(f".{path.name}.lock"), MAKING_SECONDS, taken):
-        if _is_made(path):  # meanwhile, by another process
+        if _is_made(path):  # created by another process meanwhile
             return
         with workplace.temporary_folder() as folder:
             new, part = Path(folder, path.name), path.with_name(f".{path.name}.part")
@@ -163,7 +163,7 @@ def _make(path: Path) -> None:
 
 
 def database(uri: str) -> Path | None:
-    """The file of a SQLite store, links resolved; a ConfigError if its address names none. None of others."""
+    """The file of a SQLite store, links resolved; None for other stores; ConfigError without a file name."""
     if not uri.startswith("sqlite"):
         return None
     match = SQLITE.fullmatch(uri)
@@ -172,20 +172,20 @@ def database(uri: str) -> Path | None:
     if match["file"] in (None, "", ":memory:"):
         raise ConfigError("tracking.uri", f"{uri}: a database in memory keeps nothing")
     path = Path(os.path.realpath(match["file"]))
-    if path.is_symlink():  # links that lead in a circle
+    if path.is_symlink():  # circular links
         raise ConfigError("tracking.uri", f"{uri}: {os.strerror(errno.ELOOP)}")
     return path
 
 
 def trials_beside(uri: str) -> Path:
-    """The folder of trials where none is named: beside a SQLite store, else in the working folder."""
+    """The default folder of trials: beside a SQLite store, else in the working folder."""
     file = database(uri)
     return (file.parent if file else Path()) / "trials"
 
 
 @contextmanager
 def _environment(variables: Mapping[str, str]) -> Iterator[None]:
-    """Environment variables that the user has not set, for a while."""
+    """Set environment variables temporarily, unless the user has set them."""
     added = {name: value for name, value in variables.items() if name not in os.environ}
     os.environ.update(added)
     try:
@@ -196,7 +196,7 @@ def _environment(variables: Mapping[str, str]) -> Iterator[None]:
 
 
 def cause(error: BaseException) -> str:
-    """The cause of an error in one line: the system's or SQLite's own words, if it comes from there."""
+    """The cause of an error in one line: the system's or SQLite's own message, if it caused it."""
     chain: list[BaseException] = [error]
     while (deeper := chain[-1].__cause__ or chain[-1].__context__) is not None:
         chain.append(deeper)

@@ -15,9 +15,9 @@ from simbias.mlflow.trial import FOLDER
 
 @contextmanager
 def trial_folder(run_id: str, uri: str) -> Iterator[Path]:
-    """The trial's folder, downloaded from its run; it is deleted with the context.
+    """The trial's folder, downloaded from its run, and deleted at the end of the context.
 
-    A ConfigError says if the store cannot be used (one that is missing is not made), or has no such trial.
+    ConfigError if the store cannot be used (a missing one is not created), or has no such trial.
     """
     file = database(uri)
     if file is not None and not file.exists():

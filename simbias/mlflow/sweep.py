@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from mlflow.entities import Run
 
 TABLE = "table.json"  # among the artifacts
-FILES = "files"  # tag: a digest of the others
+FILES = "files"  # tag: a digest of the other files
 STATUS = {RUNNING: "RUNNING", DONE: "FINISHED", INTERRUPTED: "KILLED", WAITS: "SCHEDULED"}
 
 
@@ -38,9 +38,9 @@ class SweepRun(RunExport):
         super().__init__(runs, folder.path)
         self._folder = folder
         self._known: dict[str, list[Run]] = {}  # runs of earlier exports by their trials' hash
-        self._exports: dict[str, TrialExport] = {}  # likewise, of this one
-        self._done: set[str] = set()  # trials that nothing is added to
-        self.shown: list[bool] = []  # whether each trial that there is could be shown, by the last export
+        self._exports: dict[str, TrialExport] = {}  # exports of this process by their trials' hash
+        self._done: set[str] = set()  # completely exported trials
+        self.shown: list[bool] = []  # whether each existing trial was exported, in the last export
 
     @cached_property
     def _description(self) -> dict[str, Any]:
@@ -49,11 +49,11 @@ class SweepRun(RunExport):
 
     def trial_ended(self, folder: Path) -> None:
         """Export a trial into a nested run."""
-        if self.run_id:  # else the store is away: `update` will export it
+        if self.run_id:  # otherwise the store is unreachable: `update` will export it
             self.runs.reach(lambda: self._write_trial(TrialFolder(folder)))
 
     def write(self, final: bool = False) -> None:
-        """Write what the run lacks, and at the end all trials that the store lacks."""
+        """Write what the run lacks and, at the end, all trials that the store lacks."""
         state, run = self._folder.state(), self._run()
         paths = [self._folder.trials / identity for identity in self._description["trials"] if final]
         there = [TrialFolder(path) for path in paths if path.exists()]
@@ -64,7 +64,7 @@ class SweepRun(RunExport):
         files["sweep.yaml"] = as_yaml(self._description["config"])
         points = [*self._points(run, state)] if final and state else []
         tags = {NOTE: self._note(state, final and self._folder.changed())}
-        if final:  # sizes do not tell that numbers have changed
+        if final:  # file sizes do not reveal changed numbers
             contents = (each if isinstance(each, bytes) else each.read_bytes() for each in files.values())
             tags[FILES] = short_digest(b"".join(contents))
         again = final and run.data.tags.get(FILES) != tags[FILES]
@@ -75,7 +75,7 @@ class SweepRun(RunExport):
         self.runs.end(run, status if status != "RUNNING" or is_locked(self.path / LOCK) else "KILLED")
 
     def _points(self, run: Run, state: dict[str, Any]) -> Iterator[Point]:
-        """The sweep's numbers that the run has otherwise; MLflow shows those of the last step."""
+        """The sweep's numbers that differ from the run's; MLflow shows those of the last step."""
         for name, value in _metrics(state).items():
             known = run.data.metrics.get(name, math.nan)
             if known != value and not (math.isnan(known) and math.isnan(value)):
@@ -83,7 +83,7 @@ class SweepRun(RunExport):
                 yield name, value, 1 + max((point.step for point in history), default=-1), time.time()
 
     def _run(self) -> Run:
-        """The sweep's run, a new one if need be; its trials are listed by the sweep's axes."""
+        """The sweep's run, created if necessary; its trials are listed by the sweep's axes."""
         about, runs = self._description, self.runs
         if self.run_id and (run := runs.client.get_run(self.run_id)).info.lifecycle_stage == "active":
             return run
@@ -101,13 +101,13 @@ class SweepRun(RunExport):
         return run
 
     def _relabel(self, run: Run, about: dict[str, Any]) -> None:
-        """Give a run of an earlier export its trial's place."""
+        """Update a trial's position in a run of an earlier export."""
         for key, value in {RUN_NAME: about["name"], **_place(about)}.items():
             if run.data.tags.get(key) != value:
                 self.runs.client.set_tag(run.info.run_id, key, value)
 
     def _write_trial(self, folder: TrialFolder) -> None:
-        """Bring a nested run up to date; one that has all of a trial that has ended is left alone."""
+        """Update a nested run, unless it is complete."""
         identity, ended = folder.path.name, folder.ended
         known, begun = self._known.get(identity, []), began_at(folder)[-1:]
         whole = ended and ("FINISHED", begun) in [(run.info.status, [run.info.start_time]) for run in known]
@@ -121,7 +121,7 @@ class SweepRun(RunExport):
             self._done.add(identity)
 
     def _write_table(self) -> None:
-        """Write the table that MLflow shows as one; `log_table` would append to that of an earlier export."""
+        """Write the table that MLflow displays; `log_table` would append to that of an earlier export."""
         client, labels = self.runs.client, {axis["name"]: str for axis in self._description["axes"]}
         file = require_file(self.path / "table.csv")
         table = pd.read_csv(file, dtype=labels, keep_default_na=False, na_values=[""]).astype(object)
@@ -131,7 +131,7 @@ class SweepRun(RunExport):
             client.log_table(self.run_id, table, TABLE)
 
     def _note(self, state: dict[str, Any], changed: bool) -> str:
-        """The parent's description: how far it is, figures, how to resume, the table as far as it fits."""
+        """The parent's description: progress, figures, how to resume, and as much of the table as fits."""
         about = self._description
         link = pages.list_page(self.runs.experiment_id, about["hash"])
         captions = []
@@ -151,7 +151,7 @@ class SweepRun(RunExport):
 
 
 def _place(about: dict[str, Any]) -> dict[str, str]:
-    """Where a trial lies in the sweep, as tags."""
+    """A trial's position in the sweep, as tags."""
     labels = {pages.AXIS + name: label for name, label in about["labels"].items()}
     return {"repetition": str(about["repetition"]), **labels}
 

@@ -1,4 +1,4 @@
-"""Trials in folders, shown in an MLflow store: live, later, or again."""
+"""Trials in folders, exported to an MLflow store: live, later, or again."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from simbias.trial.folder import TRIAL, TrialFolder
 
 
 class Mlflow(Tracking):
-    """Trials in folders, shown in an MLflow store.
+    """Trials in folders, exported to an MLflow store.
 
     Parameters
     ----------
@@ -28,11 +28,11 @@ class Mlflow(Tracking):
         MLflow's store: a database, or a server's address. The artifacts of a SQLite store lie in
         `mlartifacts` beside it.
     experiment
-        MLflow's experiment, which holds the runs; it is created if need be.
+        MLflow's experiment, which holds the runs; created if necessary.
     pictures
-        Whether pictures are drawn of each trial that has ended; in sweeps, of the first trial of each cell.
+        Whether pictures are drawn for each finished trial; in sweeps, for the first trial of each cell.
     trials
-        Folder of the trials; None is `trials` beside a SQLite store's database, else in the working folder.
+        Folder of the trials; None: `trials` beside a SQLite store's database, else in the working folder.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class Mlflow(Tracking):
         self._experiment = experiment
         self._trials = trials
         self.pictures = pictures
-        self.unshown = 0  # trials and sweeps that `export_all` could not show
+        self.unshown = 0  # trials and sweeps that `export_all` could not export
 
     @cached_property
     def folder(self) -> Path:  # type: ignore[override]
@@ -69,9 +69,9 @@ class Mlflow(Tracking):
         return SweepRun(self._runs, folder)
 
     def show(self, identity: str | None, port: int | None) -> None:
-        """Open MLflow at the run of this hash, or at the list of all; a local server ends with Ctrl-C.
+        """Open MLflow at the run with this hash, or at the list of all; Ctrl-C ends a local server.
 
-        A ConfigError says if there is no such store or run.
+        ConfigError if there is no such store or run.
         """
         file = database(self._uri)
         if file is not None and not file.exists():
@@ -81,11 +81,10 @@ class Mlflow(Tracking):
         show(self._uri, page, port)
 
     def export_all(self) -> Iterator[str]:
-        """Export all trials and sweeps of the folder; a line for each sweep, and one for the other trials.
+        """Export all trials and sweeps of the folder; yield a line for each sweep, and one for other trials.
 
-        What cannot be read is reported, and counted in `unshown`, as is a copy beside its trial. A
-        ConfigError says if there are none, or the store cannot be used; what was exported before it failed
-        stays.
+        Unreadable ones, and copies beside their trials, are reported and counted in `unshown`. ConfigError if
+        there are none, or the store cannot be used; what was exported before stays.
         """
         folders = [file.parent for file in sorted(self.folder.glob(f"*/{TRIAL}"))]
         if not folders:
@@ -109,7 +108,7 @@ class Mlflow(Tracking):
             yield f"{counted(exported, 'trial')} in no sweep"
 
     def _write_alone(self, folder: Path) -> None:
-        """Export a trial in no sweep; a ConfigError if it is a copy, whose run would count it twice."""
+        """Export a trial outside of sweeps; ConfigError for a copy, whose run would count the trial twice."""
         identity = str(TrialFolder(folder).description().get("hash"))
         if identity != folder.name and (self.folder / identity / TRIAL).exists():
             raise ConfigError(str(folder), f"is a copy of trial {identity}, which lies beside it")

@@ -1,4 +1,4 @@
-"""A trial's run in MLflow, made from the trial's folder: as often as one likes, live or later."""
+"""A trial's run in MLflow, made from the trial's folder, live or later, repeatedly."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from simbias.trial.summary import Outcome, TrialSummary
 if TYPE_CHECKING:
     from mlflow.entities import Run
 
-Dumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # the one in C is ten times as fast
-FOLDER = "trial"  # of a run's artifacts: the trial's folder
-ITERATIONS = "experiments/iterations"  # the metric that tells how many iterations are exported
+Dumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # the C version is ten times faster
+FOLDER = "trial"  # name of the trial's folder among a run's artifacts
+ITERATIONS = "experiments/iterations"  # the metric with the number of exported iterations
 SUPERSEDED = "**Superseded**: an experiment was withdrawn; the trial goes on in [a new run]({})."
 STATUS = {Outcome.ERROR: "FAILED", Outcome.INTERRUPTED: "KILLED", Outcome.WAITING: "SCHEDULED"}
-KEY_LENGTH, VALUE_LENGTH = 250, 6000  # characters that MLflow takes
+KEY_LENGTH, VALUE_LENGTH = 250, 6000  # characters that MLflow accepts
 
 
 class Nested(NamedTuple):
@@ -39,7 +39,7 @@ class Nested(NamedTuple):
 
 
 class TrialExport(RunExport):
-    """A trial's run; it is made once the trial's folder has something to show."""
+    """A trial's run, created once the trial's folder has content."""
 
     def __init__(self, runs: Runs, path: Path, nested: Nested | None = None) -> None:
         super().__init__(runs, path)
@@ -50,7 +50,7 @@ class TrialExport(RunExport):
         self.update()
 
     def write(self, final: bool = False) -> None:
-        """Write what the run lacks: files first, so that who finds numbers finds all."""
+        """Write what the run lacks: files first, so that numbers appear last."""
         folder = self._folder
         if not (courses := began_at(folder)):
             return
@@ -69,13 +69,13 @@ class TrialExport(RunExport):
         if summary is not None:
             status, end = STATUS.get(summary.outcome, "FINISHED"), int(1000 * summary.ended)
         self.runs.end(run, status, end)
-        self.run_id = run.info.run_id  # else it is looked up again
+        self.run_id = run.info.run_id  # otherwise it is looked up again
 
     def _run(self, description: Mapping[str, Any], courses: Sequence[int]) -> Run:
-        """The run, a new one if need be: the same trial, begun again in a new folder, has another one.
+        """The run, created if necessary; the same trial, restarted in a new folder, gets another run.
 
-        So has a trial of which an experiment was withdrawn, as MLflow forgets no number; the run before it
-        says so.
+        A trial with a withdrawn experiment also gets a new run, as MLflow cannot delete numbers; the previous
+        run says so.
         """
         runs, nested, identity = self.runs, self._nested, description["hash"]
         if nested and (run := _begun(nested.known, courses[-1])):
@@ -98,17 +98,17 @@ class TrialExport(RunExport):
 
 
 def _begun(runs: Sequence[Run], time: int) -> Run | None:
-    """The run that began at a time in ms since the epoch."""
+    """The run with this start time in ms since the epoch."""
     return next((run for run in runs if run.info.start_time == time), None)
 
 
 def artifact(file: Path) -> str:
-    """The name of a trial's file among the artifacts of its run, where pictures lie apart."""
+    """The name of a trial's file among its run's artifacts; pictures have a separate folder."""
     return file.as_posix() if file.parts[0] == PICTURES else f"{FOLDER}/{file.as_posix()}"
 
 
 def began_at(folder: TrialFolder) -> list[int]:
-    """When the trial began, and went on after each withdrawal, ms since the epoch; empty if it has not."""
+    """Times of the trial's start and of each restart after a withdrawal, ms since the epoch."""
     begun = [each["started"] for each in folder.attempts() if "started" in each][:1]
     return [int(1000 * time) for time in (*begun, *(each.time for each in folder.withdrawals()))]
 
@@ -116,9 +116,9 @@ def began_at(folder: TrialFolder) -> list[int]:
 def _new_metrics(
     iterations: Sequence[Mapping[str, Any]], summary: TrialSummary | None, run: Run
 ) -> Iterator[Point]:
-    """The numbers that the run lacks, of each iteration and of a trial that has ended.
+    """The numbers that the run lacks, of each iteration and of a finished trial.
 
-    Which iteration it was comes last: one whose numbers were cut off is exported again.
+    The iteration's index comes last, so that a partially exported iteration is exported again.
     """
     for each in iterations[int(run.data.metrics.get(ITERATIONS, 0)) :]:
         step, time = each["iteration"], each["ended"]
@@ -130,7 +130,7 @@ def _new_metrics(
 
 
 def parameters(description: Mapping[str, Any]) -> dict[str, str]:
-    """The chosen options (`bias`) and the resolved config (`bias.d`); what is not text as JSON."""
+    """The chosen options (`bias`) and the resolved config (`bias.d`); values other than text as JSON."""
     flat = {**description["choices"], **dict(_flat(description["config"]))}
     return {_name(key): _value(value) for key, value in flat.items()}
 
@@ -145,12 +145,12 @@ def _flat(config: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
 
 
 def _name(key: str) -> str:
-    """A key of characters that MLflow allows in names."""
+    """A key with only characters that MLflow allows in names."""
     return re.sub(r"[^\w\-. /]", "_", key)[:KEY_LENGTH]
 
 
 def _value(value: Any) -> str:
-    """Text as it is, anything else as JSON; config.yaml has what is cut off."""
+    """Text unchanged, anything else as JSON; config.yaml has the full value if it is truncated."""
     text = value if isinstance(value, str) else json.dumps(value, default=str)
     return text if len(text) <= VALUE_LENGTH else text[: VALUE_LENGTH - 3] + "..."
 
@@ -161,7 +161,7 @@ def as_yaml(config: Mapping[str, Any]) -> bytes:
 
 
 def origin_tags(description: Mapping[str, Any]) -> dict[str, str]:
-    """Where a run comes from, as MLflow's UI shows it."""
+    """The provenance of a run, as tags for MLflow's UI."""
     tags = {"mlflow.source.name": "simbias", "mlflow.source.type": "LOCAL"}
     if "user" in description:
         tags["mlflow.user"] = description["user"]
@@ -172,7 +172,7 @@ def origin_tags(description: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _tags(summary: TrialSummary) -> dict[str, str]:
-    """How a trial ended, and on what it ran."""
+    """A trial's outcome and platforms, as tags."""
     tags = {
         "outcome": str(summary.outcome),
         "waiting" if summary.outcome is Outcome.WAITING else "error": summary.stopped_by,

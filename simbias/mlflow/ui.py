@@ -1,4 +1,4 @@
-"""MLflow's pages of a store in a browser."""
+"""Opening MLflow's pages of a store in a browser."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from simbias.core.messages import redact
 from simbias.mlflow.store import is_server
 
 HOST, PORT = "127.0.0.1", 5000
-SPARING = {"MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false"}  # a fifth of the memory, and sooner up
+SPARING = {"MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false"}  # a fifth of the memory, and a faster start
 SECONDS = 120.0  # until MLflow's server is up
-DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")  # of Linux; without one, a browser would take the terminal
+DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")  # on Linux; without one, a browser would use the terminal
 
 
 def show(uri: str, page: str, port: int | None = None) -> None:
-    """Open a page of a store, which is served until Ctrl-C if it is no server itself.
+    """Open a page of a store; if the store is not a server, serve it until Ctrl-C.
 
-    A ConfigError says if the port is taken, or MLflow's server does not start.
+    ConfigError if the port is taken, or MLflow's server does not start.
     """
     if is_server(uri):
         _open(f"{uri.rstrip('/')}/{page}", uri)
         return
     port = _free_port(port)
     command = [sys.executable, "-m", "mlflow", "ui", "--workers", "1", "--host", HOST, "--port", str(port)]
-    # In the environment, as all users see a command line; the address may have a password.
+    # In the environment, since all users can see command lines, and the address may have a password.
     environment, nowhere = SPARING | os.environ | {"MLFLOW_BACKEND_STORE_URI": uri}, subprocess.DEVNULL
     with Interruption(), subprocess.Popen(command, env=environment, stdout=nowhere, stderr=nowhere) as server:
         try:
@@ -42,7 +42,7 @@ def show(uri: str, page: str, port: int | None = None) -> None:
 
 
 def _free_port(asked: int | None) -> int:
-    """The port that is asked for or, if none is, MLflow's own, or another one if that is taken."""
+    """The requested port; by default MLflow's own, or another if that is taken."""
     port = PORT if asked is None else asked
     if not 0 < port < 2**16:
         raise ConfigError("--port", f"expected 1 to 65535, got {port}")
@@ -71,7 +71,7 @@ def _answers(port: int) -> bool:
 
 
 def _open(address: str, uri: str = "") -> None:
-    """Show a page in the browser, if there is one, and its address without the login of its store."""
+    """Open a page in the browser, if there is one, and print its address without the store's login."""
     print(f"{redact(address, uri)}  (Ctrl-C ends)", flush=True)
     if sys.platform != "linux" or any(map(os.environ.get, DISPLAYS)):
         webbrowser.open(address)
