@@ -1,1 +1,1 @@
-"""One self-contained HTML page of a trial or a sweep, made of its folder."""
+"""One self-contained HTML page about a trial or a sweep, made from its folder."""

@@ -1,4 +1,4 @@
-"""Report pages, written into the folders of trials and sweeps that they are made of."""
+"""Report pages of trials and sweeps, written into their folders."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ from simbias.trial.summary import COLUMNS, IDENTIFIED, PARAMETERS, TrialSummary,
 
 FILE = "report.html"
 MOST_ROWS = 1000  # of a sweep's table on the page
-TOLD = ("hash", "user", "commit", "changed", "command")  # of a description, in words
+TOLD = ("hash", "user", "commit", "changed", "command")  # items of a description, shown in words
 
 
 def write_report(folder: Path, config_dir: Path | str | None = None, allow: Sequence[str] = ()) -> list[Path]:
     """Write `report.html` into a trial's or a sweep's folder, or into those of all sweeps beside trials.
 
-    A ConfigError says if the folder holds neither, or what it holds cannot be read or written.
+    ConfigError if the folder is neither, or cannot be read or written.
     """
     alone = [folder] if (folder / TRIAL).is_file() or (folder / SWEEP).is_file() else []
     folders = alone or [sweep.path for sweep in sweep_folders(folder)]
     if not folders:
         raise ConfigError(str(folder), "is the folder of no trial or sweep, as trials/7a29f4c5425f")
-    for own in folders:  # before minutes of drawing
+    for own in folders:  # checked before minutes of drawing
         if not os.access(own, os.W_OK):
             raise ConfigError(str(own / FILE), f"cannot be written ({os.strerror(errno.EACCES)})")
     for own in folders:
@@ -57,14 +57,14 @@ def write_report(folder: Path, config_dir: Path | str | None = None, allow: Sequ
 
 
 def trial_page(folder: Path, config_dir: Path | str | None, allow: Sequence[str]) -> str:
-    """The report of a trial, ended or not, as HTML in one file; errors as of `simbias.load_trial`."""
+    """The report of a trial, finished or not, as HTML in one file; errors as for `simbias.load_trial`."""
     record = read_folder(folder, config_dir, allow)
     with threadpool_limits(1, user_api="blas"):  # as when the trial ran
         return html.page(record.study.title, _trial_parts(record, TrialFolder(folder)))
 
 
 def _trial_parts(record: TrialRecord, folder: TrialFolder) -> Iterator[str]:
-    """From the verdict to the config."""
+    """The parts of a trial's page, from the verdict to the config."""
     summary = record.summary
     yield html.paragraph(f"{summary.outcome.verdict} after {summary.effort}. {summary.reason}")
     for finding in summary.findings:
@@ -84,7 +84,7 @@ def _trial_parts(record: TrialRecord, folder: TrialFolder) -> Iterator[str]:
             figure = draw(record.study, record.iterations)
         except NoPictureError:
             continue
-        except Exception as error:  # no page is worth losing for a picture
+        except Exception as error:  # a failing picture must not prevent the page
             yield html.paragraph(f"{name}: no picture ({type(error).__name__}: {error})")
         else:
             yield html.heading(name.replace("_", " ").capitalize())
@@ -93,13 +93,13 @@ def _trial_parts(record: TrialRecord, folder: TrialFolder) -> Iterator[str]:
 
 
 def sweep_page(folder: SweepFolder) -> str:
-    """The report of a sweep, ended or not, as HTML in one file; a ConfigError if a file cannot be read."""
+    """The report of a sweep, finished or not, as HTML in one file; ConfigError for an unreadable file."""
     description = folder.description()
     return html.page(f"Sweep {description['name']}", _sweep_parts(folder, description))
 
 
 def _sweep_parts(folder: SweepFolder, description: dict) -> Iterator[str]:
-    """From how far it is to the config."""
+    """The parts of a sweep's page, from its progress to the config."""
     summaries = {name: TrialFolder(folder.trials / name).summary() for name in description["trials"]}
     shown = {name: each for name, each in summaries.items() if each is not None and each.outcome in SHOWN}
     state = folder.state()
@@ -126,7 +126,7 @@ def _sweep_parts(folder: SweepFolder, description: dict) -> Iterator[str]:
                 )
             if (numbers := file.with_suffix(".csv")).is_file():
                 frame = pd.read_csv(numbers, dtype=str, keep_default_na=False)
-                told = frame.loc[:, (frame != "").any()]  # not of what no cell has
+                told = frame.loc[:, (frame != "").any()]  # without columns that are empty in all cells
                 yield from _table(list(told.columns), told.to_numpy().tolist())
     if "table" in state:
         yield html.heading("Cells")
@@ -137,7 +137,7 @@ def _sweep_parts(folder: SweepFolder, description: dict) -> Iterator[str]:
 
 
 def _claims(trials: Sequence[TrialSummary]) -> Iterator[str]:
-    """How many trials claim more than the test of their last policies bears out."""
+    """How many trials claim more than the tests of their last policies support."""
     claims = [(each.holding_episodes, each.claimed_share) for each in trials if each.claim]
     tested = [(held, share) for held, share in claims if held]
     if not tested:
@@ -151,7 +151,7 @@ def _claims(trials: Sequence[TrialSummary]) -> Iterator[str]:
 
 
 def _table(head: list[str], rows: list[list[str]]) -> Iterator[str]:
-    """A table, if it is not too long to be read."""
+    """A table, unless it is too long to read."""
     if len(rows) <= MOST_ROWS:
         yield html.table(head, rows)
 
