@@ -11,15 +11,15 @@ from simbias.core.errors import ConfigError
 T = TypeVar("T")
 R = TypeVar("R")
 
-MOST_LOSSES = 3  # of a task's worker, until the task is to blame
+MOST_LOSSES = 3  # of a task's worker, until the task is blamed
 
 
 class WorkerLostError(RuntimeError):
-    """A worker died with its task, again and again."""
+    """A worker died with its task, repeatedly."""
 
 
 class WorkplaceError(WorkerLostError):
-    """A task cannot begin at its worker; at another one it may."""
+    """A task cannot begin at its worker, but perhaps at another."""
 
     def __init__(self, problem: str, worker: str = "") -> None:
         super().__init__(problem, worker)
@@ -30,7 +30,7 @@ class WorkplaceError(WorkerLostError):
 
 
 class EngineLostError(ConfigError):
-    """The scheduler of the tasks is gone before they have ended; the same command resumes."""
+    """The scheduler has gone before all tasks ended; the same command resumes."""
 
 
 Results = Generator[tuple[int, R | WorkerLostError], None, None]  # a task's index, and its result
@@ -47,8 +47,8 @@ class Engine(ABC):
     ) -> Results[R]:
         """Yield (index of a task, function(task)) as tasks end, in any order, every task once.
 
-        `function` is one of a module's and raises nothing but, where no disk is shared, a WorkplaceError. A
-        task whose worker died, or at which it cannot begin, runs again; one that has no luck each time yields
-        the WorkerLostError. Tasks can be pickled. `code` packs the user's own code and files, for workers
-        that share no disk; empty if there is none. Closing the generator stops the workers.
+        `function` is a module-level function that raises only a WorkplaceError, if no disk is shared. A task
+        runs again if its worker died or it could not begin there; after repeated failures, its
+        WorkerLostError is yielded. Tasks can be pickled. `code` packs the user's own code and files for
+        workers without a shared disk; it is empty if there are none. Closing the generator stops the workers.
         """

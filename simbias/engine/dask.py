@@ -31,43 +31,43 @@ if TYPE_CHECKING:
     from distributed import Client, Future, as_completed
 
 CONNECT_SECONDS = 5.0
-JOIN_SECONDS = 5.0  # without a worker, after which a line says that one is waited for
-POLL_SECONDS = 0.1  # between looks for what has ended, as Dask's own
-LOGGER = "distributed.client"  # which logs, with a traceback, that the scheduler is gone
+JOIN_SECONDS = 5.0  # without a worker, until a line says so
+POLL_SECONDS = 0.1  # between checks for finished tasks, like Dask's own
+LOGGER = "distributed.client"  # logs, with a traceback, that the scheduler is gone
 REFUSED = "simbias: a trial %s. Other workers are preferred from now on"
-UNREADABLE = "deserialization"  # in Dask's words of a task that a worker cannot unpickle
+UNREADABLE = "deserialization"  # Dask's word for a task that a worker cannot unpickle
 
 
 class Dask(Engine):
-    """Tasks as futures of a Dask cluster: one's own, or one of this machine alone.
+    """Tasks as futures of a Dask cluster: the user's, or a local one on this machine.
 
-    The local cluster talks TLS with temporary certificates, so that no other user of the machine gets in.
+    The local cluster uses TLS with temporary certificates, so that no other user of the machine has access.
 
     Parameters
     ----------
     address
-        Of a scheduler, whose workers can import simbias and have one thread each; None for a local cluster.
-        Certificates of a tls:// address are those of Dask's own configuration.
+        Address of a scheduler, whose workers can import simbias and have one thread each; None: a local
+        cluster. Certificates for a tls:// address come from Dask's own configuration.
     n_jobs
         Workers of the local cluster.
     """
 
-    shares_disk = False  # as far as anybody knows
+    shares_disk = False  # not known to
 
     def __init__(self, address: str | None = None, n_jobs: Workers = 2) -> None:
         library("distributed", "Dask", "dask")
         self._address = address
-        self.n_jobs = n_jobs if address is None else 1  # at least: a cluster's workers come and go
-        self._waits = False  # for a worker, and has said so
+        self.n_jobs = n_jobs if address is None else 1  # at least one: a cluster's workers come and go
+        self._waits = False  # whether it waits for a worker, which was reported
 
     def run(
         self, function: Callable[[T], R], tasks: Sequence[T], code: Callable[[], bytes] = bytes
     ) -> Results[R]:
-        """Yield indices and results as tasks end; a cluster at an address is sent the `code`.
+        """Yield indices and results as tasks end; `code` is sent to a cluster at an address.
 
-        Two tasks for each worker are with Dask at a time: one that runs, and one that waits to. Dask blames a
-        dead worker on all tasks that waited there. So a task that lost its workers runs alone at the end,
-        before it is to blame. Where one could not begin, none is sent any more while there are other workers.
+        Dask holds two tasks per worker at a time: one running, one waiting. Dask blames a worker's death on
+        all tasks that waited there, so a task that lost its workers runs alone at the end before it is
+        blamed. A worker at which a task could not begin gets no more tasks while there are other workers.
         """
         if not tasks:
             return
@@ -78,7 +78,7 @@ class Dask(Engine):
         waiting, suspects = deque(range(len(tasks))), deque[int]()
         futures: dict[Future, int] = {}
         with silent(LOGGER), self._client(code) as client, self._scheduler_in_reach():
-            # With with_results=True it would wait for ever for a result that is lost with its worker.
+            # With with_results=True, it would wait forever for a result lost with its worker.
             ended = as_completed([], loop=client.loop)
             while waiting or suspects or futures:
                 if not waiting and not futures:
@@ -87,17 +87,17 @@ class Dask(Engine):
                     index = waiting.popleft()
                     others = [each for each in workers if each not in refused] if refused else []
                     future = client.submit(
-                        partial(_at_worker, function, tasks[index]),  # as Dask looks into arguments for calls
+                        partial(_at_worker, function, tasks[index]),  # as Dask searches arguments for calls
                         pure=False,
                         workers=others or None,
-                        allow_other_workers=bool(others),  # once these are lost
+                        allow_other_workers=bool(others),  # if these are lost
                     )
                     futures[future] = index
                     ended.add(future)
                 future = self._next(ended, client)
                 index = futures.pop(future)
                 try:
-                    result = future.result()  # of a task, which raises nothing
+                    result = future.result()  # a task raises nothing
                 except KilledWorker as error:
                     alone = losses[index] >= MOST_LOSSES - 1
                     losses[index] += error.allowed_failures + 1
@@ -124,7 +124,7 @@ class Dask(Engine):
 
     @contextmanager
     def _client(self, code: Callable[[], bytes]) -> Iterator[Client]:
-        """A client of the cluster. When it is closed, Dask drops its tasks; a local cluster ends with it."""
+        """A client of the cluster. On closing it, Dask drops its tasks, and a local cluster ends."""
         from distributed import Client
 
         if self._address is None:
@@ -133,7 +133,7 @@ class Dask(Engine):
             return
         try:
             client = Client(self._address, timeout=CONNECT_SECONDS, set_as_default=False)
-        except Exception as error:  # also of an address that is none
+        except Exception as error:  # also for an invalid address
             raise ConfigError("engine.address", f"{self._address}: no scheduler answers") from error
         try:
             self._await_worker(client)
@@ -144,11 +144,11 @@ class Dask(Engine):
                 client.register_plugin(SentCode(packed))
             yield client
         finally:
-            with suppress(Exception):  # of a scheduler that is gone: would hide the reason
+            with suppress(Exception):  # from a lost scheduler: would hide the reason
                 client.close()
 
     def _next(self, ended: as_completed, client: Client) -> Future:
-        """The next future that has ended; workers may all be lost meanwhile."""
+        """The next finished future; all workers may be lost meanwhile."""
         looks = time.monotonic() + JOIN_SECONDS
         while not ended.has_ready():
             time.sleep(POLL_SECONDS)
@@ -159,7 +159,7 @@ class Dask(Engine):
         return next(ended)
 
     def _await_worker(self, client: Client) -> None:
-        """Say so, once, if there is no worker for a while; Dask waits for one."""
+        """Report once if there is no worker for a while; Dask waits for one."""
         try:
             client.wait_for_workers(1, timeout=JOIN_SECONDS)
             self._waits = False
@@ -171,7 +171,7 @@ class Dask(Engine):
 
     @contextmanager
     def _scheduler_in_reach(self) -> Iterator[None]:
-        """Say so if the scheduler ends."""
+        """Report if the scheduler ends."""
         try:
             yield
         except (CancelledError, OSError) as error:
@@ -180,12 +180,12 @@ class Dask(Engine):
 
 
 def _check_workers(client: Client) -> None:
-    """Refuse workers of another simbias: they might die of what they are sent, and Dask wait for others.
+    """Refuse workers with another version of simbias, which might crash, so that Dask waits for others.
 
-    Those that come later refuse each trial themselves.
+    Workers that join later refuse each trial themselves.
     """
 
-    def digest_there() -> str | None:  # defined here, it is sent as it is, and not as a name in simbias
+    def digest_there() -> str | None:  # a local function is sent by value, not as a name in simbias
         try:
             from simbias.core.platform import package_digest
         except ImportError:
@@ -200,10 +200,10 @@ def _check_workers(client: Client) -> None:
 
 
 def _workers(client: Client) -> list[str]:
-    """The workers' addresses; where there are none yet, Dask waits for some."""
+    """The workers' addresses; if there are none yet, Dask waits for some."""
     threads = client.nthreads()
     for worker, count in threads.items():
-        if count > 1:  # trials set what their process has but once, as the threads of linear algebra
+        if count > 1:  # trials change process-wide settings, such as threads of linear algebra
             problem = f"{worker} has {count} threads; start workers with --nthreads 1"
             raise ConfigError("engine.address", problem)
     return list(threads)
@@ -220,13 +220,13 @@ def _at_worker(function: Callable[[T], R], task: T) -> R:
 
 
 def dask_setup(worker: object) -> None:
-    """In a worker of the local cluster, as it starts: leave Ctrl-C to the parent."""
+    """Set up a worker of the local cluster to leave Ctrl-C to the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 @contextmanager
 def _local_cluster(workers: int) -> Iterator[Any]:
-    """Processes of this machine that only we can talk to, in a folder that is ours too."""
+    """A local cluster of processes that only this user can access, in a private folder."""
     import dask
     from distributed import LocalCluster
 
@@ -240,8 +240,8 @@ def _local_cluster(workers: int) -> Iterator[Any]:
             protocol="tls",
             local_directory=str(workplace()),
             scheduler_kwargs={"allowed_failures": 0, "dashboard": False},  # we count failures
-            dashboard_address="127.0.0.1:0",  # any free port, where nothing is shown
-            silence_logs=logging.CRITICAL,  # of workers that died, which is dealt with
+            dashboard_address="127.0.0.1:0",  # any free port; nothing is shown there
+            silence_logs=logging.CRITICAL,  # about dead workers, which are handled
             env={"NUMBA_NUM_THREADS": "1"},  # as Dask does for other libraries
             preload=[__name__],  # calls dask_setup
         ) as cluster,

@@ -21,8 +21,8 @@ from simbias.engine.contract import MOST_LOSSES, Engine, R, Results, T, WorkerLo
 from simbias.engine.workplace import workplace
 
 WATCH_SECONDS = 1.0
-LEAVE_SECONDS = 5.0  # that threads and children of a worker's components have at its end
-NOISE = (  # what joblib says of workers that are replaced or stopped, which is dealt with
+LEAVE_SECONDS = 5.0  # for threads and children of a worker's components to end
+NOISE = (  # joblib's messages on replaced or stopped workers, which are handled
     "A worker stopped while some jobs",
     r"\d+ tasks (which were still being processed|have been successfully executed)",
 )
@@ -31,16 +31,16 @@ Round = Callable[[Iterable[tuple[int, Any]], bool], Iterator[tuple[int, Any]]]
 
 
 class RoundBrokenError(RuntimeError):
-    """Workers died; what they ran is not done."""
+    """Workers died; their tasks are not done."""
 
 
 class Loky(Engine):
-    """joblib's processes: robust to workers that are killed, one thread of numerical libraries each.
+    """joblib's processes: robust to killed workers, with one thread for numerical libraries each.
 
     Parameters
     ----------
     n_jobs
-        Worker processes; with 1, trials run in this one.
+        Number of worker processes; with 1, trials run in this process.
     """
 
     def __init__(self, n_jobs: Workers = 2) -> None:
@@ -58,7 +58,7 @@ class Loky(Engine):
         """Results of the calls, until a worker dies; joblib kills the workers when this is closed."""
         from joblib import Parallel, delayed, load, parallel_config
 
-        for message in NOISE:  # for good: results are yielded, which a filter for a while does not outlive
+        for message in NOISE:  # permanently: results are yielded, which a temporary filter would not outlive
             warnings.filterwarnings("ignore", message=message)
         with parallel_config(
             "loky",
@@ -82,11 +82,11 @@ class Loky(Engine):
 
 
 def run_rounds(run_round: Round, tasks: Sequence[T]) -> Results[Any]:
-    """Yield (index, result) of every task once, round after round, even if workers die.
+    """Yield (index, result) of every task once, in rounds, even if workers die.
 
-    `run_round(calls, alone)` yields the results of (index, task) calls and raises RoundBrokenError when
-    workers died; it takes a call only when it is about to run it, if `alone` only when none else runs.
-    A task that was under way in two broken rounds runs alone from then on, so that no other is blamed.
+    `run_round(calls, alone)` yields the results of (index, task) calls and raises RoundBrokenError if workers
+    died. It takes a call only when it is about to run it and, if `alone`, only when no other runs. A task
+    that was running in two broken rounds runs alone from then on, so that no other is blamed.
     """
     rest = dict(enumerate(tasks))
     losses: Counter[int] = Counter()
@@ -106,7 +106,7 @@ def run_rounds(run_round: Round, tasks: Sequence[T]) -> Results[Any]:
 
 
 def _noted(starts: list[int], tasks: Mapping[int, T]) -> Iterator[tuple[int, T]]:
-    """The tasks, each with a note that it starts."""
+    """The tasks; the start of each is noted."""
     for index, task in tasks.items():
         starts.append(index)
         yield index, task
@@ -119,10 +119,10 @@ def _reason(error: BaseException) -> str:
 
 
 def _call(function: Callable[[T], R], index: int, task: T, folder: Path) -> tuple[int, Path]:
-    """A task's index, and the file of its result: what a worker does.
+    """Run a task in a worker; return its index and the file of its result.
 
-    The result does not go through the workers' pipe: of one who is killed while writing, joblib would wait
-    for the other half for ever.
+    The result does not go through the workers' pipe: if a worker were killed while writing, joblib would wait
+    forever for the rest.
     """
     from joblib import dump, wrap_non_picklable_objects
 
@@ -132,12 +132,12 @@ def _call(function: Callable[[T], R], index: int, task: T, folder: Path) -> tupl
 
 
 def _follow(parent: int) -> None:
-    """In a worker: leave Ctrl-C to the parent, and end with it, even if components started threads."""
+    """Make a worker leave Ctrl-C to the parent, and end with it, even if components started threads."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _in_background(_end_with, parent)
-    if sys.platform != "win32":  # which knows no forks
+    if sys.platform != "win32":  # which has no forks
         forks = [os.getpid()]
-        os.register_at_fork(  # a child holds pipes that tell of our death
+        os.register_at_fork(  # a child would hold the pipes that signal our death
             before=lambda: forks.__setitem__(0, os.getpid()),
             after_in_child=lambda: _in_background(_end_with, forks[0]),
         )
@@ -145,7 +145,7 @@ def _follow(parent: int) -> None:
 
 
 def _end_with(parent: int) -> None:
-    """End this process when its parent has ended, however that ended."""
+    """End this process when its parent has ended for any reason."""
     while os.getppid() == parent:
         time.sleep(WATCH_SECONDS)
     os._exit(1)

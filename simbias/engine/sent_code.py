@@ -14,7 +14,7 @@ from simbias.core.digest import short_digest
 
 
 class SentCode(WorkerPlugin):
-    """Unpacks a zip file where a worker, also one that comes later, looks for modules."""
+    """Unpacks a zip file into the module path of every worker, including later ones."""
 
     name = "simbias-own-code"  # the next one replaces it
 
@@ -22,7 +22,7 @@ class SentCode(WorkerPlugin):
         self._packed = packed
 
     def setup(self, worker: Any) -> None:
-        """Lay it out in the worker's folder; modules of an earlier one are imported again."""
+        """Unpack it in the worker's folder; modules of an earlier version are imported again."""
         folder = Path(worker.local_directory, f"own-{short_digest(self._packed)}")
         with zipfile.ZipFile(io.BytesIO(self._packed)) as archive:
             archive.extractall(folder)

@@ -8,7 +8,7 @@ from simbias.engine.contract import Engine, R, Results, T
 
 
 class Sequential(Engine):
-    """One task after the other, in this process: to debug, and to compare with."""
+    """One task after the other, in this process: for debugging and comparison."""
 
     def run(
         self, function: Callable[[T], R], tasks: Sequence[T], code: Callable[[], bytes] = bytes

@@ -1,4 +1,4 @@
-"""The folder of a process and its workers on the disk, and what dead processes left there."""
+"""The temporary folder of a process and its workers, and the removal of dead processes' folders."""
 
 from __future__ import annotations
 
@@ -11,35 +11,35 @@ from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory, gettempdir
 
-PREFIX = "simbias-workers-"  # then the number of the process
+PREFIX = "simbias-workers-"  # followed by the process id
 LOCK = "lock"
 
 
 @cache
 def workplace() -> Path:
-    """A folder of this process alone, which goes with it.
+    """A folder of this process alone, removed at its end.
 
-    The process holds a lock on a file in it: while the lock is held, the process lives. Its number alone
-    would not tell, as it may live in a container whose processes we do not see.
+    The process locks a file in it: as long as the lock is held, the process is alive. The process id would
+    not suffice, as the process may be in a container whose processes are invisible here.
     """
     tidy()  # what dead processes left
     folder = TemporaryDirectory(prefix=f"{PREFIX}{os.getpid()}-")
-    atexit.register(folder.cleanup)  # else Python warns of what it removes itself
+    atexit.register(folder.cleanup)  # otherwise Python warns of its own removal
     made = Path(folder.name, f"new {LOCK}")
-    _lock(os.open(made, os.O_CREAT | os.O_WRONLY))  # open as long as the process lives
-    made.rename(made.with_name(LOCK))  # locked when others see it
+    _lock(os.open(made, os.O_CREAT | os.O_WRONLY))  # open until the process ends
+    made.rename(made.with_name(LOCK))  # already locked when others see it
     return Path(folder.name)
 
 
 def temporary_folder() -> TemporaryDirectory:
-    """A folder for a while, within that of this process: what a kill leaves of it, the next run removes."""
+    """A temporary folder within this process's; after a kill, the next run removes it."""
     return TemporaryDirectory(dir=workplace())
 
 
 def tidy() -> None:
-    """Remove the folders of dead processes of ours: a process that ends removes its own."""
+    """Remove folders of this user's killed processes; others remove their own."""
     for folder in Path(gettempdir()).glob(f"{PREFIX}*"):
-        with suppress(OSError):  # gone meanwhile, another user's, or without a lock
+        with suppress(OSError):  # already gone, another user's, or without a lock
             with (folder / LOCK).open("r+") as file:
                 dead = _lock(file.fileno())
             if dead:
@@ -47,7 +47,7 @@ def tidy() -> None:
 
 
 def _lock(file: int) -> bool:
-    """Take the lock of an open file, until it is closed; False if another has it, or there are no locks."""
+    """Lock an open file until it is closed; False if another process has it, or locks are unsupported."""
     if sys.platform == "win32":
         return False
     import fcntl
