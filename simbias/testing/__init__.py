@@ -1,1 +1,1 @@
-"""The contracts of components as checks, for tests of one's own (`conformance`)."""
+"""The contracts of components as checks, also for users' tests (`conformance`)."""

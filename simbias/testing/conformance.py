@@ -1,6 +1,6 @@
-"""The checks that every component has to pass, whoever wrote it.
+"""The checks that every component has to pass, including custom ones.
 
-In a test of one's own:
+In a custom test:
 
     @pytest.mark.parametrize("check", conformance.CHECKS, ids=str)
     def test_my_robot(check):
@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from simbias.core.error_origin import told
 from simbias.core.messages import brief
-from simbias.testing import learners, robots, searches, studies  # noqa: F401  they register their checks
+from simbias.testing import learners, robots, searches, studies  # noqa: F401  (they register their checks)
 from simbias.testing.expectations import CHECKS, Check, ConformanceError
 from simbias.trial.study import Study
 
@@ -28,15 +28,15 @@ __all__ = ["CHECKS", "Check", "ConformanceError", "Verdict", "verdicts"]
 
 @dataclass(frozen=True)
 class Verdict:
-    """How a check went."""
+    """The result of a check."""
 
     check: Check
-    problem: str  # in one line; empty where there is none
-    error: BaseException | None = None  # that it came from
+    problem: str  # in one line; empty if there is none
+    error: BaseException | None = None  # its cause
 
 
 def verdicts(study: Study, groups: Collection[str]) -> Iterator[Verdict]:
-    """Run the checks of some groups; what a component raises is a problem too."""
+    """Run the checks of some groups; an error raised by a component is also a problem."""
     for check in CHECKS:
         if check.group in groups:
             try:
@@ -51,7 +51,7 @@ def verdicts(study: Study, groups: Collection[str]) -> Iterator[Verdict]:
 
 
 def _problem(study: Study, group: str, error: BaseException) -> str:
-    """A problem in words, with the name of the component's class."""
+    """An error as a problem in words, with the name of the component's class."""
     component = type(getattr(study, group)).__name__
     text = told(error)
     if isinstance(error, ConformanceError):

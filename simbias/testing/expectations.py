@@ -1,4 +1,4 @@
-"""Checks that components of a group have to pass: their registry, expectations, and points to try them at."""
+"""Checks that components of a group have to pass: registry, expectations, and test points."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ import numpy as np
 from simbias.core.records import Array, Rollout, Transitions
 from simbias.trial.study import Study
 
-POINTS = 12  # states and inputs at which methods are tried
-DATA = 20  # transitions from which a bias is fitted
-WRITES = re.compile("(?<!source array) is read-only|modify read-?only")  # NumPy's, Numba's; Cython only reads
+POINTS = 12  # states and inputs at which methods are tested
+DATA = 20  # transitions to which a bias is fitted
+WRITES = re.compile("(?<!source array) is read-only|modify read-?only")  # by NumPy, Numba; Cython only reads
 
 
 @dataclass(frozen=True)
 class Check:
-    """Something that components of a group have to pass."""
+    """A check that components of a group have to pass."""
 
     group: str
     words: str
@@ -47,13 +47,13 @@ class ConformanceError(AssertionError):
 
 
 def expect(condition: Any, method: str, expected: str, got: Any) -> None:
-    """Hold a component to its contract."""
+    """Raise a ConformanceError unless the condition holds."""
     if not condition:
         raise ConformanceError(f"{method}: expected {expected}, got {' '.join(str(got).split())[:120]}")
 
 
 def equal(a: Any, b: Any, method: str, expected: str, tolerance: float = 1e-9) -> None:
-    """Hold two arrays against each other."""
+    """Compare two arrays; raise a ConformanceError if they differ."""
     expect(np.shape(a) == np.shape(b), method, f"the shape {np.shape(b)}", np.shape(a))
     expect(np.allclose(a, b, rtol=tolerance, atol=tolerance, equal_nan=True), method, expected, a)
 
@@ -82,17 +82,17 @@ def policies(study: Study) -> Array:
 
 
 def near_zero(study: Study) -> Array:
-    """The policy (p,) of the box that is nearest to zero: hardware runs no other."""
+    """The policy (p,) of the box nearest to zero, the only one that hardware runs."""
     return np.clip(0.0, *study.policy.bounds)
 
 
 def _in_a_grid(array: Array) -> Array:
-    """The rows (POINTS, k) with two leading axes."""
+    """Reshape rows (POINTS, k) to two leading axes."""
     return array.reshape(POINTS // 3, 3, -1)
 
 
 def expect_any_leading_axes(method: Callable[..., Any], name: str, *arrays: Array) -> None:
-    """A method gives for an array of points what it gives for each, and leaves its arguments as they are."""
+    """Expect a method to give the same for an array of points as for each, without changing arguments."""
     expect_arguments_left(method, name, *arrays)
     made = [method(*rows) for rows in zip(*arrays, strict=True)]
     shapes = {np.shape(one) for one in made}
@@ -104,7 +104,7 @@ def expect_any_leading_axes(method: Callable[..., Any], name: str, *arrays: Arra
 
 
 def expect_arguments_left(method: Callable[..., Any], name: str, *arrays: Array) -> None:
-    """A method writes into nothing that it is given; its other errors are told elsewhere."""
+    """Expect a method not to write into its arguments; its other errors are reported elsewhere."""
     expected, copies = "its arguments to be left as they are", [array.copy() for array in arrays]
     for copy in copies:
         copy.setflags(write=False)
@@ -112,7 +112,7 @@ def expect_arguments_left(method: Callable[..., Any], name: str, *arrays: Array)
         method(*copies)
     except Exception as error:
         expect(not WRITES.search(str(error)), name, expected, error)
-    for copy, array in zip(copies, arrays, strict=True):  # a pointer's writes raise nothing
+    for copy, array in zip(copies, arrays, strict=True):  # writes through pointers raise nothing
         expect(np.array_equal(copy, array), name, expected, copy)
 
 

@@ -1,4 +1,4 @@
-"""Checks of what learns and judges: bias, samples, cost and evaluation."""
+"""Checks of bias, samples, cost and evaluation."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from simbias.testing.expectations import (
 )
 from simbias.trial.study import Study
 
-OFF = 1e-3  # of the state, by which a model is off whose residuals are known
+OFF = 1e-3  # of the state: error of a model with known residuals
 
 
 @check("bias", "without data nothing is corrected")
@@ -56,17 +56,17 @@ def _bias_draws(study: Study) -> None:
 
 
 class _Off(Nominal):
-    """A nominal model whose steps miss a thousandth of the state: the residuals of the model itself."""
+    """A nominal model whose steps miss a thousandth of the state, so that its residuals are known."""
 
     def __init__(self, nominal: Nominal) -> None:
         self._nominal, self.state_size, self.acting = nominal, nominal.state_size, nominal.acting
 
     def step(self, x: Array, u: Array) -> Array:
-        """x_next (..., n) that is off."""
+        """x_next (..., n) with this error."""
         return self._nominal.step(x, u) - OFF * x
 
     def advance(self, x: Array, u: Array, model_state: Array) -> tuple[Array, Array]:
-        """Such an x_next (..., n), and the model state (..., s) for the next frame."""
+        """x_next (..., n) with this error, and the model state (..., s) for the next frame."""
         x_next, kept = self._nominal.advance(x, u, model_state)
         return x_next - OFF * x, kept
 
@@ -101,7 +101,7 @@ def _cost_is_finite(study: Study) -> None:
         return study.cost.of(replace(whole, states=states, inputs=inputs))
 
     expect_arguments_left(of, "cost.of", whole.states, whole.inputs)
-    if study.cost.reductions:  # of many rollouts at once
+    if study.cost.reductions:  # for many rollouts at once
         t = study.cost.time_step * np.arange(1.0, POINTS + 1)[:, None]
 
         def terms(x: Array, u: Array, t: Array) -> Array:

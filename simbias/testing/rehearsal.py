@@ -1,4 +1,4 @@
-"""Before a trial: components of the user's own are tried, and all is compiled."""
+"""The rehearsal before a trial: custom components are checked, and everything is compiled."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from simbias.testing.conformance import verdicts
 from simbias.trial.study import Study
 from simbias.trial.warm_up import warm_up
 
-LEAST_SECONDS = 0.01  # of an experiment: in less nothing can fail, and every policy would succeed
-GROUPS = ("task", "nominal", "policy")  # whose checks take a second at most
+LEAST_SECONDS = 0.01  # of an experiment: in less time nothing can fail, and every policy would succeed
+GROUPS = ("task", "nominal", "policy")  # groups whose checks take at most a second
 
 
 def rehearse(study: Study) -> None:
-    """Hold own components to their contracts, and compile the simulation.
+    """Check the contracts of custom components, and compile the simulation.
 
-    A ConfigError has component, method, expected and got of one that breaks its contract or raises. Others
-    are of a method that cannot work with a component, and of an experiment too short to tell anything.
+    A ConfigError gives component, method, expected and got if one breaks its contract or raises. It is also
+    raised if a method cannot work with a component, or an experiment is too short to be meaningful.
     """
     study.method.check(study)
     task = study.task

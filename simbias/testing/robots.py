@@ -1,4 +1,4 @@
-"""Checks of what knows a robot: task, nominal model, policy and hardware."""
+"""Checks of task, nominal model, policy and hardware."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from simbias.testing.expectations import (
 )
 from simbias.trial.study import Study
 
-CORNERS = 4  # of a policy's box that are tried at each state
-EPISODE = 500  # frames, at most, of rollouts along which a policy is tried
+CORNERS = 4  # of a policy's box, tested at each state
+EPISODE = 500  # maximum frames of rollouts along which a policy is tested
 
 
 @check("task", "shapes and names")
@@ -82,7 +82,7 @@ def _nominal_parameters(study: Study) -> None:
         expected = "the model itself of its parameters' values"
         equal(declared.step(x, u), nominal.step(x, u), "nominal.with_parameters", expected, 1e-6)
         kept, expected = [each.value for each in other.parameters], f"parameters of values {others}"
-        same = np.array_equal(kept, values)  # the priors, as they may stay
+        same = np.array_equal(kept, values)  # the priors, which may stay unchanged
         equal(others if same else kept, others, "nominal.with_parameters", expected, 1e-6)
         again, expected = other.with_parameters(others), "the same model of the same values again"
         equal(again.step(x, u), other.step(x, u), "nominal.with_parameters", expected, 1e-6)
@@ -101,7 +101,7 @@ def _nominal_draws(study: Study) -> None:
 def _nominal_state(study: Study) -> None:
     nominal, x, u = study.nominal, robot_states(study), inputs(study)
     model_state = np.zeros((POINTS, nominal.state_size))
-    for t in range(3):  # the rows, as frames; from zero on
+    for t in range(3):  # the rows as frames, starting at zero
         x_next, after = nominal.advance(np.roll(x, t, axis=0), np.roll(u, t, axis=0), model_state)
         equal(np.shape(x_next), x.shape, "nominal.advance", f"states of shape {x.shape}")
         equal(np.shape(after), model_state.shape, "nominal.advance", f"a state of shape {model_state.shape}")
@@ -161,7 +161,7 @@ def _policy_acts(study: Study) -> None:
 
 
 class _Watched(Policy):
-    """A policy whose inputs are held against their limits, and at times one by one against those of many."""
+    """A policy whose inputs are checked against limits and, at times, single against batched evaluation."""
 
     def __init__(self, study: Study) -> None:
         self._policy, self.state_size = study.policy, study.policy.state_size
@@ -181,7 +181,7 @@ class _Watched(Policy):
             expect_any_leading_axes(act, "policy.act", theta[rows], x[rows], policy_state[rows])
         self._frames += 1
         u, after = self._policy.act(theta, x, t, policy_state)
-        beyond = (u < self._lower) | (u > self._upper)  # far away it need not be a number
+        beyond = (u < self._lower) | (u > self._upper)  # far away, it need not be finite
         expect(not beyond.any(), "policy.act", self._expected, u[beyond.any(axis=-1)][:1])
         return u, after
 

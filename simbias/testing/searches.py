@@ -1,4 +1,4 @@
-"""Checks of what searches: optimizer and method."""
+"""Checks of optimizer and method."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from simbias.trial.run import run_trial
 from simbias.trial.study import Study
 from simbias.trial.summary import Outcome
 
-EVALUATIONS, EXPERIMENTS = 30, 4  # of each search of a trial, and of all of it
+EVALUATIONS, EXPERIMENTS = 30, 4  # per search, and per trial
 
 
 @check("optimizer", "a known minimum in the box, within the evaluations, the same each time")
@@ -57,21 +57,21 @@ def _optimizer_raises(study: Study) -> None:
 
 
 class _NominalHardware(Hardware):
-    """The nominal model in place of the hardware, which a check of others leaves at rest."""
+    """The nominal model instead of the hardware, which checks of other groups must not use."""
 
     def __init__(self, study: Study) -> None:
         self._study = study.without_targets
-        self._cost = None if study.task.targets else study.cost  # with it, nothing new is compiled
+        self._cost = None if study.task.targets else study.cost  # so that nothing new is compiled
 
     def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
         """An experiment without noise."""
-        rng.standard_normal()  # as noise would: an experiment that is recalled draws nothing
+        rng.standard_normal()  # as noise would; a replayed experiment draws nothing
         model = replace(self._study, policy=policy).model()
         return simulator(model, cost=self._cost).rollout(theta, start)
 
 
 def _on_nominal_model(study: Study) -> Study:
-    """The study with short searches and the nominal model as hardware: nobody is asked, no policy tested."""
+    """The study with short searches, and the nominal model as hardware; no confirmation, no policy test."""
     optimizer, budget, hardware = copy(study.optimizer), study.budget, _NominalHardware(study)
     optimizer.max_evaluations = min(EVALUATIONS, optimizer.max_evaluations)
     experiments = min(EXPERIMENTS, budget.experiments or EXPERIMENTS)
@@ -106,7 +106,7 @@ def _method_counts_and_recalls(study: Study) -> None:
     with tempfile.TemporaryDirectory() as folder:
         first = run_trial(study, Path(folder, study.hash), Count())
         if first.outcome in (Outcome.ERROR, Outcome.WAITING):
-            list(study.run())  # raises what the record only tells
+            list(study.run())  # raises errors that a record only reports
         try:
             again = run_trial(study, Path(folder, study.hash))
         except ConfigError as error:

@@ -1,4 +1,4 @@
-"""Checks of components together: parameters are identified, a trial warms up, rollouts take longer."""
+"""Checks of components in combination: identification, warm-up of a trial, longer rollouts."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from simbias.trial.warm_up import SECONDS, warm_up
 
 
 def _fitted(study: Study, rollouts: Sequence[Rollout]) -> Nominal:
-    """The model as identified; the nominal one is left as it is."""
+    """The identified model; checks that the nominal one is unchanged."""
     nominal, x, u = study.nominal, robot_states(study), inputs(study)
     parameters, x_next = nominal.parameters, nominal.step(x, u)
     fitted = study.identification.fit(nominal, rollouts)
@@ -29,7 +29,7 @@ def _without_rollouts(study: Study) -> None:
     fitted, x, u = _fitted(study, []), robot_states(study), inputs(study)
     kept = {each.name for each in study.nominal.parameters} <= {each.name for each in fitted.parameters}
     expect(kept, "fit", "a model with the nominal model's parameters without rollouts", fitted)
-    if not fitted.estimates:  # else it is one that is known from earlier recordings
+    if not fitted.estimates:  # otherwise it is known from earlier recordings
         expected = "the nominal model's steps without rollouts"
         equal(fitted.step(x, u), study.nominal.step(x, u), "fit", expected)
 
