@@ -1,4 +1,4 @@
-"""The grammar of the command line: commands, their arguments, and what help says of them."""
+"""The grammar of the command line: commands, their arguments, and their help texts."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 from simbias.config import ConfigError, options, sweeps
 
 PROGRAM = "python -m simbias"
-RUN = "run"  # the command that is meant where none is named
+RUN = "run"  # the default command
 
 EXAMPLES = """\
 values that people change most (--cfg job shows all):
@@ -53,14 +53,14 @@ of export:   0 all trials are shown, 1 one could not be read
 
 
 def parse(arguments: Sequence[str] | None, version: str) -> argparse.Namespace:
-    """The `command` that is asked for and its arguments; options may stand anywhere.
+    """The requested `command` and its arguments; options may stand anywhere.
 
     Raises
     ------
     ConfigError
-        If the first of them is neither a command nor an override.
+        If the first argument is neither a command nor an override.
     SystemExit
-        With status 2, if they cannot be parsed, or with 0 once help or the version is shown.
+        With status 2 if they cannot be parsed, or 0 after showing help or the version.
     """
     own = argparse.ArgumentParser(prog=PROGRAM, add_help=False, allow_abbrev=False)
     own.add_argument("--config-dir", metavar="DIR", help="a folder with groups, options, sweeps/ of your own")
@@ -82,14 +82,14 @@ def parse(arguments: Sequence[str] | None, version: str) -> argparse.Namespace:
         several = "; many trials are a sweep (+sweep=NAME)" if {"-m", "--multirun"} & {*behind} else ""
         parser.error(f"unrecognized arguments: {' '.join(behind)}{several}")
     elif behind:
-        words += behind  # an option of the command's own, where argparse takes no more of them
+        words += behind  # a command's own option after argparse stopped taking options
     return argparse.Namespace(**{**vars(parsed), **vars(known)})
 
 
 def _parser(
     own: argparse.ArgumentParser, shown: argparse.ArgumentParser, config_dir: str | None
 ) -> tuple[argparse.ArgumentParser, Collection[str]]:
-    """The grammar and its commands; help tells of the options in a folder of configs too."""
+    """The grammar and its commands; help also lists the options in a folder of configs."""
     text: dict[str, Any] = {
         "parents": [shown],
         "epilog": _groups(config_dir) + EXAMPLES,
@@ -106,7 +106,7 @@ def _parser(
 
 
 def _add(commands: Any, name: str, about: str, more: str = "", **text: Any) -> argparse.ArgumentParser:
-    """A command; its own help also says what the list of commands has no room for."""
+    """Add a command; its own help also has details that do not fit the list of commands."""
     description = f"{about[0].upper()}{about[1:]}. {more}".rstrip()
     added: argparse.ArgumentParser = commands.add_parser(name, help=about, description=description, **text)
     return added
@@ -115,7 +115,7 @@ def _add(commands: Any, name: str, about: str, more: str = "", **text: Any) -> a
 def _add_composed(
     commands: Any, own: argparse.ArgumentParser, shown: argparse.ArgumentParser, text: Mapping[str, Any]
 ) -> None:
-    """The commands that take overrides."""
+    """Add the commands that take overrides."""
     of_run = "It writes trials/<hash>, of a sweep also trials/sweeps/<name>_<hash>, unless tracking=none."
     run = _add(commands, RUN, "run a trial or a sweep, or resume it: the default", of_run, **text)
     check = _add(commands, "check", "put components through the conformance suite", parents=[shown])
@@ -130,7 +130,7 @@ def _add_composed(
 
 
 def _add_of_recordings(commands: Any, own: argparse.ArgumentParser) -> None:
-    """The commands that identify a model, or prepare for it."""
+    """Add the commands that identify a model, or prepare for it."""
     about = "identify a model from recordings, and tell what of it to trust"
     of_identify = "It writes a page, tables, draws and an option for trials into a folder."
     identify = _add(commands, "identify", about, of_identify, parents=[own])
@@ -150,7 +150,7 @@ def _add_of_recordings(commands: Any, own: argparse.ArgumentParser) -> None:
 
 
 def _add_of_folders(commands: Any, own: argparse.ArgumentParser) -> None:
-    """The commands that read, change or make a folder."""
+    """Add the commands that read, change or make a folder."""
     pictures = _add(commands, "pictures", "draw all pictures of a trial", parents=[own])
     of_policy = "It does not stop at the task's horizon, where an experiment ends."
     controller = _add(
@@ -178,7 +178,7 @@ def _add_of_folders(commands: Any, own: argparse.ArgumentParser) -> None:
 
 
 def _groups(config_dir: str | None) -> str:
-    """The groups with their options, and the sweeps, as help shows them."""
+    """The groups with their options, and the sweeps, as shown in help."""
     groups = "\n".join(f"  {group:<14} {' | '.join(names)}" for group, names in options(config_dir).items())
     return (
         f"groups and their options, the default first (group=option):\n{groups}\n\n"

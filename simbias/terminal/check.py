@@ -1,4 +1,4 @@
-"""`python -m simbias check`: components are put through the conformance suite."""
+"""`python -m simbias check`: run the conformance suite on components."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from simbias.testing.conformance import CHECKS, ConformanceError, verdicts
 
 
 def check(overrides: Sequence[str], config_dir: str | None, allow: Sequence[str] = ()) -> bool:
-    """Check the groups that the overrides name, or all but the hardware; tell how each check went.
+    """Check the groups named by the overrides, or all except the hardware; print each result.
 
-    No check of another group makes an experiment on the hardware. Errors as of `simbias.load`.
+    Checks of other groups run no experiments on the hardware. Errors as for `simbias.load`.
     """
     console = standard_output()
     study = build(compose(overrides, config_dir, allow))

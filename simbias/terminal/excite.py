@@ -1,4 +1,4 @@
-"""`python -m simbias excite` and `identify --recover`: what recordings would tell, before they are made."""
+"""`python -m simbias excite` and `identify --recover`: the information in recordings before they are made."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ COMES_BACK = (
 )
 BOUND = "Those afterwards are lower bounds: identify also counts how errors scatter."
 LEAST, MOST = 0.01, 3600.0  # s of inputs
-RARELY = 0.05  # share of robots beyond the limits, up to which no remedy is told
+RARELY = 0.05  # share of robots beyond the limits: up to this, no remedy is suggested
 
 
 def excite(request: Request, seconds: float, file: Path) -> None:
-    """Write inputs that tell most of what is not known yet, within the limits, and say what they should tell.
+    """Write the most informative inputs within the limits, and print their expected information.
 
-    A ConfigError says if no inputs of this duration keep the limits, or the file cannot be written.
+    ConfigError if no inputs of this duration keep the limits, or the file cannot be written.
     """
     if not LEAST <= seconds <= MOST:
         raise ConfigError("--seconds", f"must be from {LEAST:g} to {MOST:g}, got {seconds:g}")
     console = standard_output()
-    with _writing(file):  # before inputs are looked for, which takes long
+    with _writing(file):  # checked before the long search for inputs
         file.parent.mkdir(parents=True, exist_ok=True)
         if file.is_dir():
             raise IsADirectoryError("it is a folder")
@@ -76,7 +76,7 @@ def excite(request: Request, seconds: float, file: Path) -> None:
 
 @contextmanager
 def _writing(file: Path) -> Iterator[None]:
-    """Errors of the system are one line that names the file."""
+    """Convert system errors to one line that names the file."""
     try:
         yield
     except OSError as error:
@@ -84,10 +84,10 @@ def _writing(file: Path) -> Iterator[None]:
 
 
 def recovery(request: Request) -> bool:
-    """Tell which parameters of drawn robots come back from recordings like these; whether any does.
+    """Print which parameters of drawn robots are recovered from recordings like these; return whether any is.
 
-    Without recordings, from inputs that were designed, measured in each frame. A ConfigError says if a
-    recording cannot be read, all are held out, or no inputs keep the limits.
+    Without recordings, designed inputs are used, with measurements in each frame. ConfigError if a recording
+    cannot be read, all are held out, or no inputs keep the limits.
     """
     console = standard_output()
     study, recordings, _ = request.opened(console)
@@ -127,13 +127,13 @@ def recovery(request: Request) -> bool:
 
 
 def _levels(study: Study, noise: Array) -> str:
-    """The noise (n,) of each state."""
+    """The noise (n,) of each state, in words."""
     pairs = zip(study.task.states, noise, strict=True)
     return ", ".join(f"{state.name} {level:.2g} {state.unit}" for state, level in pairs)
 
 
 def _extremes(study: Study, found: Excitation) -> str:
-    """The largest magnitudes of states and inputs."""
+    """The largest magnitudes of states and inputs, in words."""
     quantities = (*study.task.states, *study.task.inputs)
     largest = (*found.largest, *np.abs(found.rollout.inputs).max(axis=0))
     return ", ".join(

@@ -1,4 +1,4 @@
-"""`python -m simbias identify`: a model from recordings, and what of it may be trusted."""
+"""`python -m simbias identify`: a model from recordings, and which of its parameters to trust."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from simbias.terminal.lines import progress, say, standard_output
 from simbias.terminal.notices import preparing, slowness_in_one_line
 from simbias.trial.study import Study
 
-SECONDS, TRAJECTORIES = 5.0, 40  # of what to record next
+SECONDS, TRAJECTORIES = 5.0, 40  # of the next excitation
 CHOSEN = r"(?!(true|false|null|nan|inf)$)[a-z]"  # begins an option that Hydra takes for no number or constant
 
 
@@ -43,12 +43,12 @@ class Request(NamedTuple):
 
     @property
     def configs(self) -> Path:
-        """The folder of configs that the identified option is written to."""
+        """The folder of configs to which the identified option is written."""
         return Path(self.config_dir) if self.config_dir else self.folder / "conf"
 
     @property
     def option(self) -> Path:
-        """The option's file; beside options of one's own, it is named as the folder of results."""
+        """The option's file; beside the user's own options, it is named after the folder of results."""
         name = re.sub(r"[^A-Za-z0-9_]", "_", self.folder.name) if self.config_dir else ""
         if not re.match(CHOSEN, name, re.IGNORECASE):
             name = f"{OPTION}_{name}" if name else OPTION
@@ -57,10 +57,10 @@ class Request(NamedTuple):
     def opened(
         self, console: Console, windows: float = 1.0, attach: bool = False
     ) -> tuple[Study, Recordings, Recordings]:
-        """The study, its recordings and those that are held out; notes on them are printed.
+        """The study, its recordings and the held-out ones; notes on them are printed.
 
-        Of what is not held out, pieces that do not hold as many windows are left out. The study has what its
-        recordings need, or all that a trial needs which is attached.
+        From recordings not held out, pieces with fewer than `windows` windows are left out. The study has the
+        components needed for recordings or, with an attached trial, all components.
         """
         with preparing():
             composition = compose(self._identifying, self.config_dir, self.allow)
@@ -74,11 +74,11 @@ class Request(NamedTuple):
 
     @property
     def _identifying(self) -> list[str]:
-        """The overrides, with `identification=posterior` where neither they nor a preset choose one."""
+        """The overrides, plus `identification=posterior` if neither they nor a preset choose one."""
         keys = overridden(self.overrides)
         if GROUP in keys:
             return [*self.overrides]
-        # Without keys of the group, which may be those of the option that is still to be chosen.
+        # Without keys of the group, which may belong to the option that is still to be chosen.
         pairs = zip(self.overrides, keys, strict=True)
         others = [each for each, key in pairs if not key.startswith(f"{GROUP}.")]
         found = compose(others, self.config_dir, self.allow)
@@ -87,19 +87,19 @@ class Request(NamedTuple):
 
     @property
     def again(self) -> list[str]:
-        """The overrides of a trial that begins with what was identified."""
+        """The overrides of a trial that begins with the identified model."""
         return [each for each in self.overrides if not each.startswith(f"{GROUP}=")] + [
             f"{GROUP}={self.option.stem}"
         ]
 
 
 def identify(request: Request, attach: bool = False) -> bool:
-    """Identify, tell, and write; return whether the model is better than the nominal one.
+    """Identify a model, print and write the results; return whether it is better than the nominal one.
 
-    Where nothing of it is trusted, it is not good enough for a trial that is attached.
+    If no parameter is trusted, it is not good enough for an attached trial.
 
-    A ConfigError names a bad override, a recording that cannot be read, a file that cannot be written, or the
-    hardware of a trial that is attached and has no recordings.
+    A ConfigError names a bad override, an unreadable recording, an unwritable file, or the hardware of an
+    attached trial that has no recordings.
     """
     console = standard_output()
     with slowness_in_one_line():
@@ -133,7 +133,7 @@ def identify(request: Request, attach: bool = False) -> bool:
 
 
 def next_excitation(study: Study, assessment: Assessment) -> Excitation | str:
-    """The trajectory to record next, which should tell most of the model, or the reason why there is none."""
+    """The most informative trajectory to record next, or the reason why there is none."""
     if not assessment.better:
         return "the identified model would predict it, which is not to be used"
     rollouts = [rollout for part in assessment.parts for rollout in part.rollouts]
@@ -162,7 +162,7 @@ def tell(console: Console, assessment: Assessment, excitation: Excitation | str)
 
 
 def table(console: Console, names: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """A table, its first and last column aligned at the left."""
+    """Print a table with its first and last columns left-aligned."""
     widths = [max(map(len, column)) for column in zip(names, *rows, strict=True)]
     for row in (names, *rows):
         cells = [cell.rjust(width) for cell, width in zip(row, widths, strict=True)]

@@ -1,4 +1,4 @@
-"""Lines on a terminal, and files with tracebacks that they name."""
+"""Lines on a terminal, and the traceback files that they name."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from rich.console import Console
 
 from simbias.core.messages import with_trace
 
-TRACEBACK = "simbias-error-"  # of files that are kept for a person
+TRACEBACK = "simbias-error-"  # prefix of files kept for a person
 
 
 def standard_output(soft_wrap: bool = False) -> Console:
-    """The console; plain text where it is no terminal, although notebooks set FORCE_COLOR for their pipes."""
+    """The console; plain text if it is not a terminal, although notebooks set FORCE_COLOR for their pipes."""
     force_terminal = None if sys.stdout.isatty() else False
     return Console(highlight=False, soft_wrap=soft_wrap, force_terminal=force_terminal)
 
@@ -28,19 +28,19 @@ def say(console: Console, line: str, style: str = "", markup: bool = False) -> N
 
 @contextmanager
 def progress(console: Console) -> Iterator[Callable[[str], None]]:
-    """The function that tells what is being done; each time in a line where there is no terminal."""
+    """A function that shows the current activity; without a terminal, each call prints a line."""
     with console.status("") as status:
         yield status.update if console.is_terminal else partial(say, console)
 
 
 def place_of_trace(error: BaseException) -> str:
-    """Where an error's traceback can be read, in brackets behind a message; "" if it cannot be written."""
+    """The place of an error's traceback, in brackets for the end of a message; "" if it cannot be written."""
     file = temporary_traceback(with_trace(error))
     return f" (traceback in {file})" if file else ""
 
 
 def temporary_traceback(traceback: str) -> str:
-    """A new file with a traceback, for a person; "" if none can be written."""
+    """A new file with a traceback, for a person; "" if it cannot be written."""
     try:
         with NamedTemporaryFile("w", prefix=TRACEBACK, suffix=".txt", delete=False) as file:
             file.write(traceback)

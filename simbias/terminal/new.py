@@ -1,4 +1,4 @@
-"""`python -m simbias new my_robot`: a folder for a robot of one's own, which runs as it is."""
+"""`python -m simbias new my_robot`: a folder for a custom robot, which runs unchanged."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ NAME = "my_robot"  # of the template
 
 
 def new(name: str) -> None:
-    """Lay out the folder, and say how to use it; a ConfigError if the name is none of a module, or taken."""
+    """Lay out the folder, and print how to use it; ConfigError if the name is invalid or taken."""
     if not name.isidentifier() or keyword.iskeyword(name) or not name.isascii():
         raise ConfigError("new", f"expected the name of a Python module, as {NAME}, got {quote(name)}")
     folder = Path(name)

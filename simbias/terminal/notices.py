@@ -1,4 +1,4 @@
-"""Notices on stderr: that something is compiled, or is slow."""
+"""Notices on stderr: about compilation, and about slowness."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ COMPILING = "Compiling the simulation for this machine; later starts take it fro
 
 
 class _Announcer(Listener):
-    """Says once that something is being compiled."""
+    """Reports once that something is being compiled."""
 
     def __init__(self) -> None:
         self._announced = False
@@ -33,14 +33,14 @@ class _Announcer(Listener):
 
 @contextmanager
 def preparing() -> Iterator[None]:
-    """Say so if something is compiled meanwhile, and not taken from the cache."""
+    """Report if something is compiled within the context, not loaded from the cache."""
     with install_listener("numba:compile", _Announcer()):
         yield
 
 
 @contextmanager
 def slowness_in_one_line() -> Iterator[None]:
-    """Show each warning that something is slow as one line, once, without its place in the code."""
+    """Show each SlowWarning once, as one line, without its place in the code."""
     shown_otherwise = warnings.showwarning
     shown: set[str] = set()
 

@@ -1,4 +1,4 @@
-"""`python -m simbias preview`: what the first experiment of a trial will do, before it is made."""
+"""`python -m simbias preview`: a prediction of a trial's first experiment."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from simbias.trial.prediction import DRAWS, Prediction, predict
 from simbias.trial.study import Study
 
 FILE = "preview.png"
-# How the experiments of a prediction end.
+# How simulated experiments end.
 SUCCEEDED, FAILED = "succeed", "fail"
 ABORTED, MISSED, DEAR = "are aborted by hardware.safety", "miss the goal", "cost more than Z_max"
 
 
 def preview(overrides: Sequence[str], config_dir: str | None, allow: Sequence[str] = ()) -> None:
-    """Search the first policy, simulate its experiment, tell of it, and draw it into a file.
+    """Search the first policy, simulate its experiment, describe it, and draw it into a file.
 
-    Errors as of `simbias.load` and `rehearse`; a ConfigError says if the picture cannot be written.
+    Errors as for `simbias.load` and `rehearse`; also ConfigError if the picture cannot be written.
     """
     console = standard_output()
     with slowness_in_one_line():
@@ -53,7 +53,7 @@ def preview(overrides: Sequence[str], config_dir: str | None, allow: Sequence[st
 
 
 def first_prediction(study: Study) -> Prediction:
-    """Simulate the first experiment of a trial on the model that its policy is searched on."""
+    """Simulate the first experiment of a trial on the model used to search its policy."""
     asked: list[tuple[Policy, Array, Array]] = []
 
     def refuse(*experiment: Any) -> bool:
@@ -68,7 +68,7 @@ def first_prediction(study: Study) -> Prediction:
 
 
 def describe(study: Study, prediction: Prediction, bounds: Bounds) -> Iterator[str]:
-    """A prediction in a table: where each quantity goes, in what is expected and in the band."""
+    """A prediction as a table: the range of each quantity, as expected and in the band."""
     task, expected = study.task, prediction.expected
     yield f"{'':>16}  {'start':>9}  {'predicted':>21}  {'band':>21}  {'limit':>9}"
     for quantity, own, low, high, limits in predicted(task, prediction, bounds):
@@ -105,7 +105,7 @@ def describe(study: Study, prediction: Prediction, bounds: Bounds) -> Iterator[s
 
 def _end(study: Study, draw: Rollout, bounds: Bounds) -> str:
     """How a simulated experiment ends."""
-    if exceeded(draw, study.task, bounds):  # before it fails, as that ends it
+    if exceeded(draw, study.task, bounds):  # checked before failure, as it ends the experiment
         return ABORTED
     if draw.failed_at is not None:
         return FAILED
@@ -115,7 +115,7 @@ def _end(study: Study, draw: Rollout, bounds: Bounds) -> str:
 
 
 def _limit(lower: float, upper: float) -> str:
-    """The limit of a size or, where it is not symmetric, on either side; empty where there is none."""
+    """The limit of a magnitude or, if not symmetric, on each side; "" if there is none."""
     if lower == -upper:
         return f"{upper:.4g}" if np.isfinite(upper) else ""
     return f"{lower:.4g} to {upper:.4g}"
@@ -127,5 +127,5 @@ def _first(values: np.ndarray) -> str:
 
 
 def _range(low: np.ndarray, high: np.ndarray) -> str:
-    """From the smallest to the largest."""
+    """The range of values, in words."""
     return f"{np.nanmin(low):.4g} .. {np.nanmax(high):.4g}" if len(low) else ""

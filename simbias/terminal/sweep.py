@@ -1,4 +1,4 @@
-"""A sweep in the terminal: what is missing of it is run, or told; its exit status."""
+"""A sweep in the terminal: running or listing its missing trials; its exit status."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ SHOWN_ERRORS = 5
 
 
 def run(variations: Variations, composition: Composition, again: str) -> int:
-    """Run what is missing of a sweep, or tell what that is; `again` is the command that does."""
+    """Run a sweep's missing trials, or list them (dry run); `again` is the command that runs them."""
     trials_engine: Engine = service(composition, "engine", Engine)
     store: Tracking = service(composition, "tracking", Tracking)
     with preparing(), slowness_in_one_line():
@@ -62,7 +62,7 @@ def run(variations: Variations, composition: Composition, again: str) -> int:
         return FAILED
     except ConfigError:
         raise
-    except Exception as error:  # of the store or the engine: what a trial raises is in its record
+    except Exception as error:  # from the store or the engine: errors of trials are in their records
         console.stopped(f"{type(error).__name__}: {cause(error)}", again)
         return FAILED
     console.conclude(trials, where)
@@ -72,14 +72,14 @@ def run(variations: Variations, composition: Composition, again: str) -> int:
 
 
 def duration(seconds: float) -> str:
-    """A duration in the largest unit that suits it."""
+    """A duration in its largest suitable unit."""
     if seconds < 100:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
 
 
 class SweepConsole(SweepObserver):
-    """A bar and a table that fills on a terminal; else a line for every trial."""
+    """A progress bar and a growing table on a terminal; otherwise a line for every trial."""
 
     def __init__(self, console: Console | None = None) -> None:
         self._console = console or standard_output()
@@ -91,14 +91,14 @@ class SweepConsole(SweepObserver):
         self._experiments: dict[tuple[str, ...], list[float]] = defaultdict(list)
         self._figures: list[tuple[str, str, Sequence[Path]]] = []
         self._outcomes: list[str] = []
-        self._diagnostics: dict[str, tuple[str, ...]] = {}  # of each trial, by its hash
+        self._diagnostics: dict[str, tuple[str, ...]] = {}  # of each trial, by hash
         self._progress = Progress(
             TextColumn("trials"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[state]}")
         )
         self._live: Live | None = None
 
     def begun(self, sweep: Sweep, finished: DataFrame, folder: Path | None) -> None:
-        """Tell what will run and how much of it is done, and follow it."""
+        """Print what will run and how much is done, and follow it."""
         self._sweep, self._keeps, self._total = sweep, folder is not None, len(sweep.trials)
         self._outcomes = list(finished["outcome"])
         names = [axis.name for axis in sweep.axes]
@@ -119,12 +119,12 @@ class SweepConsole(SweepObserver):
             self._live.start()
 
     def all_ended(self) -> None:
-        """Leave the table as it is."""
+        """Leave the table in its last state."""
         if self._live is not None:
             self._live.stop()
 
     def ended(self, trial: Trial, result: Result) -> None:
-        """Tell of a trial that has ended or stopped, and is kept."""
+        """Report a trial that has ended or stopped, and is kept."""
         summary = result.summary
         self._ran += 1
         self._outcomes.append(summary.outcome)
@@ -136,7 +136,7 @@ class SweepConsole(SweepObserver):
             done = f"[{len(self._outcomes)}/{self._total}]"
             made = counted(summary.experiments, "experiment")
             outcome = summary.stopped_by or f"{summary.outcome} after {made}"
-            few = self._outcomes.count(Outcome.ERROR) <= SHOWN_ERRORS  # files that anyone reads
+            few = self._outcomes.count(Outcome.ERROR) <= SHOWN_ERRORS  # few enough for a person to read
             if file := traceback_file(summary, result.traceback if few else ""):
                 outcome += f" (traceback in {file})"
             line = f"{done} {trial.name}: {outcome}, {summary.seconds:.1f} s; {self._state()}"
@@ -152,18 +152,18 @@ class SweepConsole(SweepObserver):
         return ", ".join(filter(None, [f"{60 * rate:.1f}/min", left, *counts]))
 
     def _view(self) -> Group:
-        """The table as far as it is, and the bar."""
+        """The current table, and the bar."""
         return Group(_rich(arrange(self._sweep, ["done, mean"], self._cell)), self._progress)
 
     def _cell(self, labels: tuple[str, ...]) -> list[str]:
-        """The number of a cell's trials that are done, of all, and the mean of their experiments."""
+        """A cell's numbers of finished trials and of all, and their mean number of experiments."""
         counts = self._experiments.get(labels, [])
         mean = f"{sum(counts) / len(counts):.1f}" if counts else BLANK
         return [f"{len(counts)}/{self._sweep.repetitions} {mean:>5}"]
 
     @contextmanager
     def working(self, words: str, total: int, done: int) -> Iterator[Callable[[], None]]:
-        """A bar, or a line for every step; call what this gives after each."""
+        """A bar, or a line for every step; call the yielded function after each."""
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
         with Progress(*columns, console=self._console, disable=not self._console.is_terminal) as progress:
             bar = progress.add_task(words, total=total, completed=done)
@@ -177,11 +177,11 @@ class SweepConsole(SweepObserver):
             yield advance
 
     def drawn(self, name: str, caption: str, files: Sequence[Path]) -> None:
-        """Tell, at the end, of a figure and where its files are."""
+        """Note a figure and its files, to report at the end."""
         self._figures.append((name, caption, files))
 
     def conclude(self, trials: DataFrame, where: str) -> None:
-        """The table, what it means, and how to look at the rest."""
+        """Print the table, its meaning, and how to view the rest."""
         arrangement = layout(cells(trials, self._sweep), self._sweep)
         say(self._console, plain(arrangement))
         say(self._console, legend(self._sweep, trials))
@@ -212,25 +212,25 @@ class SweepConsole(SweepObserver):
 
     @property
     def waiting(self) -> int:
-        """The number of trials that wait for the result of an experiment."""
+        """The number of trials waiting for an experiment's result."""
         return self._outcomes.count(Outcome.WAITING)
 
     @property
     def taken(self) -> int:
-        """The number of trials that another process runs."""
+        """The number of trials run by another process."""
         return self._outcomes.count(Outcome.RUNNING)
 
     def stopped(self, why: str, again: str) -> None:
-        """Tell that the sweep ended early, what is done, and how to go on."""
+        """Report that the sweep ended early, its progress, and how to resume it."""
         done = sum(Outcome(outcome).final for outcome in self._outcomes)
-        kept = f"; {done} of {self._total} trials are done" if self._total else ""  # else not yet counted
+        kept = f"; {done} of {self._total} trials are done" if self._total else ""  # not yet counted
         kept += "" if self._keeps else ", but not kept"
         text = f"simbias: {' '.join(why.split())[:500]}{kept}.\nResume with:  {again}"
         print(text, file=sys.stderr, flush=True)
 
 
 def _rich(arrangement: Layout) -> Table:
-    """A layout as rich shows it."""
+    """A layout as a table of the library rich."""
     table = Table(box=None, pad_edge=False)
     for head in arrangement.head:
         table.add_column(Text(head), justify="right")
@@ -240,7 +240,7 @@ def _rich(arrangement: Layout) -> Table:
 
 
 def dry_run(sweep: Sweep, finished: DataFrame, engine: Engine) -> None:
-    """Tell how many trials of each cell are finished, and how long the others may take."""
+    """Print how many trials of each cell are finished, and how long the others may take."""
     done = frozenset(finished["hash"])
     ended = Counter(trial.cell.labels for trial in sweep.trials if trial.hash in done)
     print(plain(arrange(sweep, ["done"], lambda labels: [f"{ended[labels]}/{sweep.repetitions}"])))
@@ -253,9 +253,9 @@ def dry_run(sweep: Sweep, finished: DataFrame, engine: Engine) -> None:
 
 
 def seconds_left(sweep: Sweep, finished: DataFrame, n_jobs: int) -> float | None:
-    """Seconds that the missing trials may take, by those that are finished; None if none is.
+    """Estimated seconds for the missing trials, from the finished ones; None if none is finished.
 
-    A trial is taken to last as long as those of its cell or, where none of them is finished, of all cells.
+    A trial is assumed to last as long as those of its cell or, if none of them is finished, of all cells.
     """
     if finished.empty:
         return None

@@ -1,4 +1,4 @@
-"""A trial in the terminal: run as far as it gets, resumed or replayed; its exit status."""
+"""A trial in the terminal: running, resuming or replaying it; its exit status."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ from simbias.trial.summary import Outcome, TrialSummary
 
 
 def run(composition: Composition, again: str) -> int:
-    """Run one trial, or resume it; `again` is the command that does."""
-    service(composition, "engine", Engine)  # a single trial needs none, but a bad one is bad input
-    tidy()  # a trial that has ended makes no folder of its own, which would
+    """Run or resume one trial; `again` is the command that does so."""
+    service(composition, "engine", Engine)  # a single trial needs no engine, but an invalid one is bad input
+    tidy()  # a finished trial creates no folder, which would do this
     store: Tracking = service(composition, "tracking", Tracking)
     with slowness_in_one_line():
         with preparing():
@@ -49,7 +49,7 @@ def run(composition: Composition, again: str) -> int:
 
 
 def _run_study(study: Study, store: Tracking, again: str) -> int:
-    """Run a trial as far as it gets, resume or replay it."""
+    """Run, resume or replay a trial as far as possible."""
     folder = store.trial_folder(study.hash)
     export = store.export_trial(folder) if folder else Export()
     replayed = folder is not None and _ended(TrialFolder(folder))
@@ -57,15 +57,15 @@ def _run_study(study: Study, store: Tracking, again: str) -> int:
         print(f"simbias: {changed}", file=sys.stderr)
     try:
         with TrialConsole(study) as console:
-            asking = replace(study.conditions, ask=console.ask)  # if it asks at all
+            asking = replace(study.conditions, ask=console.ask)  # if confirmation is required
             record = run_trial(replace(study, conditions=asking), folder, Observers(console, export))
         if folder is not None and store.pictures:
-            from simbias.pictures.trial.gallery import illustrate  # lazily: Matplotlib is not for all
+            from simbias.pictures.trial.gallery import illustrate  # lazily: not everyone needs Matplotlib
 
             illustrate(record, folder)
     except (ConfigError, KeyboardInterrupt):
         raise
-    except Exception as error:  # of the disk: what a component raises is in the record
+    except Exception as error:  # from the disk: errors of components are in the record
         print(f"simbias: {with_type(error)} (resume with:  {again})", file=sys.stderr)
         return FAILED
     finally:
@@ -75,7 +75,7 @@ def _run_study(study: Study, store: Tracking, again: str) -> int:
         console.conclude(record, export.where, replayed)
         return SUCCEEDED if summary.outcome is Outcome.SUCCEEDED else FAILED
     kept = f"{counted(summary.experiments, 'hardware experiment')} kept" if folder else "nothing is kept"
-    if summary.outcome is Outcome.ERROR and not record.traceback:  # a key or a file, which the reason names
+    if summary.outcome is Outcome.ERROR and not record.traceback:  # a bad key or file; see the reason
         print(f"simbias: {summary.reason} ({kept})", file=sys.stderr)
         return BAD_INPUT
     trace = f"; traceback in {file}" if (file := traceback_file(summary, record.traceback)) else ""
@@ -84,7 +84,7 @@ def _run_study(study: Study, store: Tracking, again: str) -> int:
 
 
 def _ended(folder: TrialFolder) -> bool:
-    """Whether a trial has ended; one that cannot be read is told, as it is made anew."""
+    """Whether a trial has ended; an unreadable outcome is reported, as it is made anew."""
     try:
         folder.summary()
     except ConfigError as error:
@@ -102,7 +102,7 @@ class TrialConsole(Observer):
 
     def __init__(self, study: Study, console: Console | None = None) -> None:
         self._study = study
-        self._console = console or standard_output(soft_wrap=True)  # also what a hardware prints
+        self._console = console or standard_output(soft_wrap=True)  # also the output of hardware
         self._progress = Progress(
             TextColumn("{task.description}"),
             BarColumn(),
@@ -118,7 +118,7 @@ class TrialConsole(Observer):
         self._iterations: list[Iteration] = []
         self._model: Model | None = None
         self._said: set[str] = set()  # kinds of remarks
-        self._said_of_policy: set[str] = set()  # of the last one
+        self._said_of_policy: set[str] = set()  # kinds of remarks on the last policy
         self._width = 18 * (study.method.max_experiments // study.method.max_iterations)
 
     def __enter__(self) -> TrialConsole:
@@ -134,7 +134,7 @@ class TrialConsole(Observer):
         self._progress.stop()
 
     def searching(self, evaluations: int, best_cost: float) -> None:
-        """Move the bar of the policy search."""
+        """Update the progress bar of the policy search."""
         self._progress.update(
             self._bar,
             description="policy search",
@@ -143,16 +143,16 @@ class TrialConsole(Observer):
         )
 
     def designed(self, theta: Array, model: Model | None = None, search: Search | None = None) -> None:
-        """Say what is odd about a policy, before hardware is spent on it."""
+        """Report oddities of a policy, before hardware is spent on it."""
         self._said_of_policy.clear()
         self._remark(diagnostics.of_policy(theta, search, self._iterations))
         self._remark(diagnostics.of_prediction(theta, model, self._study), again=True)
         self._model = model
 
     def _remark(self, remarks: Iterable[Remark], again: bool = False) -> None:
-        """Lines between those of the iterations, with its number; one of each kind, or others in brief.
+        """Print remarks between the lines of iterations, with the iteration's number, repeats in brief.
 
-        None of a policy is said twice, as of its second start.
+        A remark on a policy is not repeated, for example for its second start.
         """
         number = f"{len(self._iterations):>3}"
         for remark in remarks:
@@ -164,13 +164,13 @@ class TrialConsole(Observer):
             self._said_of_policy.add(remark.kind)
 
     def experimenting(self, theta: Array, start: Array) -> None:
-        """Tell that a hardware experiment is under way; the screen is the hardware's meanwhile."""
+        """Report that a hardware experiment is running; meanwhile, the screen belongs to the hardware."""
         self._remark(diagnostics.of_safety(theta, start, self._model, self._study), again=True)
         words = f"hardware experiment {self._experiments + 1} under way"
         self._progress.update(self._bar, description=words, completed=0, best="")
 
     def ask(self, policy: Policy, theta: Array, start: Array) -> bool:
-        """Show what is predicted of an experiment, and ask whether it may be made, on a screen at rest."""
+        """Show the prediction of an experiment, and ask whether it may be run, while the screen is still."""
         from simbias.terminal.preview import describe
 
         self._progress.stop()
@@ -184,17 +184,17 @@ class TrialConsole(Observer):
         return allowed
 
     def experimented(self, rollout: Rollout) -> None:
-        """Tell of a hardware experiment that has ended."""
+        """Report a hardware experiment that has ended."""
         self._experiments += 1
         self._progress.update(self._bar, description=f"hardware experiment {self._experiments} done")
 
     def trying(self, number: int, count: int) -> None:
-        """Tell that a test episode is under way."""
+        """Report that a test episode is running."""
         words = f"test episode {number + 1} of {count}"
         self._progress.update(self._bar, description=words)
 
     def iterated(self, iteration: Iteration) -> None:
-        """One line for an iteration."""
+        """Print one line for an iteration."""
         self._progress.update(self._bar, description="policy search", completed=0, best="", refresh=True)
         search, learning = iteration.search, iteration.learning
         predicted = cost_text(search.predicted_cost) if search else ""
@@ -211,13 +211,13 @@ class TrialConsole(Observer):
         self._iterations.append(iteration)
 
     def _experiment_text(self, rollout: Rollout) -> str:
-        """Cost and balanced time of an experiment; it is said if one failed whose cost does not tell."""
+        """Cost and duration of an experiment, and whether it failed if its cost does not show this."""
         seconds = rollout.frames * self._study.task.time_step
         failed = rollout.failed_at is not None and rollout.cost < self._study.cost.max_cost
         return f"{cost_text(rollout.cost):>8} ({seconds:.2f} s{', failed' * failed})"
 
     def conclude(self, record: TrialRecord, where: str, replayed: bool = False) -> None:
-        """The closing line: what came out, after how many experiments, and how to look at it."""
+        """Print the closing line: the outcome, the number of experiments, and how to view the trial."""
         summary = record.summary
         colour = "green" if summary.outcome is Outcome.SUCCEEDED else "red"
         self._progress.update(self._bar, visible=False)
@@ -237,7 +237,7 @@ class TrialConsole(Observer):
 
 
 def changed_since(study: Study, folder: Path) -> str:
-    """The user's modules and files that changed since the trial of a folder began, in a line; "" if none."""
+    """The user's modules and files that changed since a folder's trial began, in a line; "" if none."""
     if not (folder / TRIAL).exists() or not (
         modules := changed_code(TrialFolder(folder).description(), study)
     ):
@@ -247,12 +247,12 @@ def changed_since(study: Study, folder: Path) -> str:
 
 
 def traceback_file(summary: TrialSummary, traceback: str) -> str:
-    """The file with a traceback: that of the trial's folder, else a new temporary one; "" without any."""
+    """The file with a traceback: in the trial's folder, else a new temporary one; "" without a traceback."""
     return summary.traceback_file or (temporary_traceback(traceback) if traceback else "")
 
 
 def likelihoods_text(likelihoods: Mapping[str, float]) -> str:
-    """The log-likelihoods of the model variants, and the one that the next policy is searched on."""
+    """The log-likelihoods of the model variants, and the variant used for the next search."""
     values = ", ".join(f"{name} {value:.1f}" for name, value in likelihoods.items())
     best = max(likelihoods, key=lambda name: likelihoods[name])
     return f"held-out log-likelihood of {1000 * WINDOW:g} ms: {values}; goes on with {best}"
