@@ -1,10 +1,9 @@
 """Records in, Matplotlib figures out.
 
-No function touches pyplot, so none needs a display or leaves an open figure: save a figure with `save`, or
-let a notebook show what a function returns. Those of a trial take its study and its iterations, as
-`study.run()` yields them or `simbias.load_trial` reads them back; a picture that a trial cannot have, because
-its method does not search or learn, raises `NoPictureError`. A task is drawn by the module beside it
-(`simbias.pictures.elements.drawing`).
+No function uses pyplot, so none needs a display or leaves an open figure. Save a figure with `save`, or let a
+notebook show a returned figure. Pictures of a trial take its study and its iterations, from `study.run()` or
+`simbias.load_trial`. If a trial cannot have a picture, because its method does not search or learn, a
+`NoPictureError` is raised. A task is drawn by the module beside it (`simbias.pictures.elements.drawing`).
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ __all__ = [
     "snapshots",
 ]
 
-_MODULES = {  # of names that are not those of their modules
+_MODULES = {  # names that differ from those of their modules
     **dict.fromkeys(("Drawing", "NoPictureError", "drawing_of"), "elements.drawing"),
     "save": "elements.style",
     "save_animation": "trial.animation",
@@ -50,7 +49,7 @@ _MODULES = {  # of names that are not those of their modules
 
 
 def __getattr__(name: str) -> Any:
-    """Import a name of `__all__` when it is asked for: Matplotlib takes a third of a second."""
+    """Import a name in `__all__` on demand: Matplotlib takes a third of a second."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     module = _MODULES.get(name, f"trial.{name}")

@@ -1,4 +1,4 @@
-"""The prediction of an experiment before it is made, with a band."""
+"""The prediction of an experiment before it is run, with a band."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Series(NamedTuple):
 
 
 def predicted(task: Task, prediction: Prediction, bounds: Bounds) -> Iterator[Series]:
-    """Every input and, if anything is known of them, every state before."""
+    """The states, if they can be predicted, then the inputs, as series."""
     expected = prediction.expected
     states = (task.states, expected.states, prediction.band(), (-bounds.states, bounds.states))
     inputs = (task.inputs, expected.inputs, prediction.band(inputs=True), bounds.input_bounds)
@@ -45,7 +45,7 @@ def predicted(task: Task, prediction: Prediction, bounds: Bounds) -> Iterator[Se
 
 
 def preview(study: Study, prediction: Prediction, bounds: Bounds) -> Figure:
-    """Every state and input over time in s; dotted, the limits at which the experiment is aborted."""
+    """Every state and input over time in s; dotted lines are the limits that abort the experiment."""
     task, limited = study.task, False
     shown = list(predicted(task, prediction, bounds))
     figure, (grid,) = panels(len(shown), HEIGHT)
@@ -65,7 +65,7 @@ def preview(study: Study, prediction: Prediction, bounds: Bounds) -> Figure:
 
 
 def _draw(axes: Axes, time_step: float, series: Series) -> bool:
-    """A quantity over time, its band, and its limits; whether one of them is near."""
+    """Draw a quantity over time, its band, and its limits; return whether a limit is near."""
     quantity, values, low, high, limits = series
     axes.fill_between(time_step * np.arange(len(low)), low, high, color=SIMULATION, alpha=0.2, linewidth=0.0)
     axes.plot(time_step * np.arange(len(values)), values, color=SIMULATION, linewidth=1.0)

@@ -1,1 +1,1 @@
-"""Style, layout and drawings of tasks, which all pictures share."""
+"""Style, layout and drawings of tasks, shared by all pictures."""

@@ -8,14 +8,14 @@ from matplotlib.transforms import ScaledTranslation
 
 from simbias.core.records import Array, Flags
 
-SPREAD = 0.8  # of a row's height, over which dots that would hide each other are spread
-FEW, ASIDE = 5, 1.6 / 72  # dots that fit one above the other; in, by which more of them lie left and right
+SPREAD = 0.8  # of a row's height, over which overlapping dots are spread
+FEW, ASIDE = 5, 1.6 / 72  # dots that fit above each other; in, horizontal offset of more dots
 
 
 def draw_dots(
     axes: Axes, row: int, values: Array, succeeded: Flags, color: str, alike: Array | None = None
 ) -> None:
-    """A cell's trials, values (k,): filled where they succeeded, and a bar at their mean.
+    """Draw a cell's trials, values (k,): filled if successful, with a bar at their mean.
 
     Dots with the same value, or the same number of `alike` (k,), lie side by side.
     """
@@ -32,7 +32,7 @@ def draw_dots(
 
 
 def _aside(values: Array) -> tuple[Array, Array]:
-    """How far dots (k,) move up or down, so that equal values lie one above the other, and to which side."""
+    """Vertical offsets of dots (k,) that separate equal values, and their horizontal sides."""
     aside, sides = np.zeros((2, len(values)))
     for value in np.unique(values):
         equal = np.flatnonzero(values == value)

@@ -1,4 +1,4 @@
-"""Drawings of a task's states, by the module that stands beside the task.
+"""Drawings of a task's states, by the module beside the task.
 
 For a task in `my_robot.py`, that module is `my_robot_drawing.py`:
 
@@ -10,10 +10,10 @@ For a task in `my_robot.py`, that module is `my_robot_drawing.py`:
         artists["arm"].set_xy(corners(task, state))
         artists["arm"].set_alpha(0.4 if muted else 1.0)
 
-`draw` is all that snapshots need; animations need `move` too; `draws(task)`, if there is one, says whether
-this task can be drawn at all. All lengths are in one unit, so that all pictures of a trial have one scale. A
-task that is declared in YAML declares its drawing there (`simbias.robots.declared.task`). A task without a
-drawing has all other pictures; its overview lacks the snapshots.
+Snapshots need only `draw`; animations also need `move`. An optional `draws(task)` returns whether the task
+can be drawn at all. All lengths are in one unit, so that all pictures of a trial have one scale. A task
+declared in YAML declares its drawing there (`simbias.robots.declared.task`). A task without a drawing has all
+other pictures; its overview lacks the snapshots.
 """
 
 from __future__ import annotations
@@ -41,16 +41,16 @@ class NoPictureError(LookupError):
 
 
 class Drawing(Protocol):
-    """Draws a task's state (n,) into axes and returns the artists by name; muted where it has failed."""
+    """Draws a task's state (n,) into axes and returns the artists by name; muted after a failure."""
 
     def __call__(
         self, axes: Axes, task: Any, state: Array, *, color: str = ..., muted: bool = ...
     ) -> Mapping[str, Artist]:
-        """Draw; the view is set by who calls, the same for all states."""
+        """Draw; the caller sets the view, the same for all states."""
 
 
 class Movement(Protocol):
-    """Moves the artists that a drawing returned to another state (n,); muted where it has failed."""
+    """Moves a drawing's artists to another state (n,); muted after a failure."""
 
     def __call__(self, artists: Mapping[str, Artist], task: Any, state: Array, *, muted: bool = ...) -> None:
         """Move; no artist is added."""
@@ -62,12 +62,12 @@ def drawing_of(task: Task) -> Drawing | None:
 
 
 def movement_of(task: Task) -> Movement | None:
-    """The function `move` of that module, if there is one."""
+    """The function `move` of the module `<the task's module>_drawing`, if there is one."""
     return cast(Movement | None, _function(task, "move"))
 
 
 def _function(task: Task, name: str) -> Any:
-    """A function of the module that draws a task; None where there is none."""
+    """A function of the module that draws a task; None if there is none."""
     module = f"{type(task).__module__}_drawing"
     if importlib.util.find_spec(module) is None:
         return None
@@ -77,9 +77,9 @@ def _function(task: Task, name: str) -> Any:
 
 
 def share_view(all_axes: Sequence[Axes]) -> None:
-    """Give axes of one shape, some of them empty, the view of one scale that holds all their drawings.
+    """Give axes of equal shape, some of them empty, a common view and scale that contain all drawings.
 
-    It is at most twice as high as wide, so that a tall robot makes no picture that no screen shows.
+    The view is at most twice as high as wide, so that a picture of a tall robot fits a screen.
     """
     if all_axes:
         corners = np.concatenate([axes.dataLim.get_points() for axes in all_axes if axes.has_data()])

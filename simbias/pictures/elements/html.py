@@ -39,7 +39,7 @@ pre { font-size: 0.85rem; overflow-x: auto; background: #f6f6f6; padding: 0.7rem
 
 
 def page(title: str, parts: Iterable[str]) -> str:
-    """A whole page of parts that the functions below have written."""
+    """A whole page, from parts made by the functions below."""
     return (
         f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
@@ -65,14 +65,14 @@ def items(lines: Iterable[str]) -> str:
 
 
 def table(names: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table with a line of names."""
+    """A table with a header of names."""
     head = "".join(f"<th>{escape(name)}</th>" for name in names)
     body = "\n".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
     return f"<table>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{body}\n</tbody>\n</table>"
 
 
 def picture(figure: Figure, words: str) -> str:
-    """A figure within the page; the words say what it shows to those who cannot see it."""
+    """A figure within the page; the words are its alternative text."""
     file = BytesIO()
     render(figure, PUBLISHED_DOTS_PER_INCH).save(file, "PNG", optimize=True)
     return image(file.getvalue(), words)
@@ -84,5 +84,5 @@ def image(png: bytes, words: str) -> str:
 
 
 def preformatted(text: str) -> str:
-    """Text as it is, line by line."""
+    """Preformatted text."""
     return f"<pre>{escape(text)}</pre>"

@@ -1,4 +1,4 @@
-"""Figures of panels under a legend; Matplotlib's constrained layout finds room for all labels."""
+"""Figures of panels below a legend; Matplotlib's constrained layout places all labels."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from simbias.pictures.elements.style import SMALL
 WIDTH = 9.0  # in, of a figure
 BETWEEN = 0.08  # in, beside axes and their labels
 PAD = 12  # points, below a headline
-LABELS = 0.8  # in, of the height of a row: its headline, ticks and labels
+LABELS = 0.8  # in, part of a row's height for headline, ticks and labels
 MOST_COLUMNS = 5  # of a legend
-INCHES_OF_CHARACTER, INCHES_OF_HANDLE = 0.095, 0.6  # at most, with the space around it
+INCHES_OF_CHARACTER, INCHES_OF_HANDLE = 0.095, 0.6  # at most, with surrounding space
 
 
 def panels(count: int, height: float, most: int = 3, blocks: int = 1) -> tuple[Figure, np.ndarray]:
@@ -36,7 +36,7 @@ def panels(count: int, height: float, most: int = 3, blocks: int = 1) -> tuple[F
 def headline(axes: Axes, words: str, size: Literal["medium", "large"] = "medium") -> None:
     """Write words above axes, and above the exponents of the axes at the right.
 
-    They may be longer than the axes are wide, so the layout knows their height alone.
+    They may be wider than the axes, so only their height enters the layout.
     """
     axes.set_title(" ", fontsize=size, pad=PAD)
     text = axes.annotate(
@@ -52,7 +52,7 @@ def headline(axes: Axes, words: str, size: Literal["medium", "large"] = "medium"
 
 
 def legend(figure: Figure, entries: Mapping[str, Artist], title: str = "") -> None:
-    """Put a legend above all axes, in as many columns as there is room for; the figure grows by its height.
+    """Put a legend above all axes, in as many columns as fit; the figure grows by its height.
 
     The figure needs the constrained layout. Labels longer than the figure is wide are wrapped.
     """

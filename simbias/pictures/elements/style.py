@@ -1,4 +1,4 @@
-"""Colours, labels and files that all figures share; Matplotlib is imported where something is drawn."""
+"""Colours, labels and file formats shared by all figures; Matplotlib is imported only for drawing."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from PIL import Image
 
-# Okabe and Ito's colours, which the colour-blind tell apart.
+# Okabe and Ito's colours, which colour-blind readers can distinguish.
 SIMULATION, HARDWARE, NOMINAL = "#0072B2", "#D55E00", "#009E73"
 OTHERS = ("#E69F00", "#56B4E9", "#CC79A7", "#F0E442", "#000000")
-# Of many series: grey in place of their yellow, which is pale on white; the two lengths share no factor.
+# For many series: grey instead of yellow, which is pale on white; the two lengths are coprime.
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8C8C8C")
 MARKERS = ("o", "s", "D", "^", "v", "P", "X", "<", ">", "p", "h")
 GREEK = ("alpha", "beta", "gamma", "delta", "theta", "phi", "psi", "omega")
@@ -33,12 +33,12 @@ LIMIT, BEYOND = "0.35", "0.92"  # greys
 SMALL = 8.5  # points
 TICKS = {4.0: (1, 1.5, 2, 3, 4, 5, 7), 20.0: (1, 2, 3, 5), 200.0: (1, 3)}  # by upper over lower limit
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-FAR = 3  # decades from 1, beyond which an axis' numbers are told with their powers of ten
+FAR = 3  # decades from 1, beyond which an axis' numbers are written as powers of ten
 LINE_OF_TEXT = 0.13  # of the height of axes, at most
 
 DOTS_PER_INCH = 120
 PUBLISHED_DOTS_PER_INCH = 200  # twice what a screen shows
-DATES = {".svg": "Date", ".pdf": "CreationDate"}  # in their metadata, by the end of a file's name
+DATES = {".svg": "Date", ".pdf": "CreationDate"}  # in their metadata, by file extension
 
 
 class SeriesStyle(NamedTuple):
@@ -49,7 +49,7 @@ class SeriesStyle(NamedTuple):
 
 
 def series_style(index: int) -> SeriesStyle:
-    """A style for each series: neither color nor marker is repeated among eight, their pair not among 88."""
+    """A style for each series: colors and markers are unique among eight series, pairs among 88."""
     return SeriesStyle(COLORS[index % len(COLORS)], MARKERS[index % len(MARKERS)])
 
 
@@ -64,7 +64,7 @@ def with_unit(name: str, unit: str) -> str:
 
 
 def symbol(name: str) -> str:
-    """A name as it is read: `d_theta_1` as a Greek letter with an index and a dot, `d_angle` in words."""
+    """A name for readers: `d_theta_1` as a Greek letter with index and dot, `d_angle` in words."""
     base, _, index = name.removeprefix("d_").partition("_")
     if base not in GREEK:
         return re.sub("^d ", "rate of ", name.replace("_", " "))
@@ -73,19 +73,19 @@ def symbol(name: str) -> str:
 
 
 def literal(text: str) -> str:
-    """Text of the user's, in which dollars are no mathematics."""
+    """The user's text, with dollar signs escaped from mathematics."""
     return text.replace("$", r"\$")
 
 
 def seconds(task: Task, frame: int) -> float:
-    """When a frame is, in s."""
+    """The time of a frame in s."""
     return frame * task.time_step
 
 
 def shade_beyond(axes: Axes, limit: float, words: str, side: Literal["left", "right"] = "right") -> None:
-    """Mark a limit on the vertical axis and shade what lies beyond it; call it after all else is drawn.
+    """Mark a limit on the vertical axis and shade the area beyond; call it after everything else is drawn.
 
-    The words are below the limit, behind what is drawn. An infinite limit is not drawn.
+    The words are below the limit, behind the curves. An infinite limit is not drawn.
     """
     from matplotlib.patheffects import withStroke
 
@@ -114,9 +114,9 @@ def shade_beyond(axes: Axes, limit: float, words: str, side: Literal["left", "ri
 
 
 def logarithmic(*all_axis: Axis) -> None:
-    """Scale axes logarithmically; ticks are at decades and, where few of them are in view, between.
+    """Scale axes logarithmically; ticks are at decades and, if few of these are visible, in between.
 
-    None is a minor one, as these take most of a figure's time.
+    There are no minor ticks, as they would take most of a figure's drawing time.
     """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
@@ -141,12 +141,12 @@ def with_power(value: float) -> str:
     """A positive number with its power of ten."""
     exponent = math.floor(math.log10(value) + 1e-9)
     digits = f"{value / 10.0**exponent:g}"
-    power = str(exponent).translate(SUPERSCRIPTS)  # quicker to set than mathematics
+    power = str(exponent).translate(SUPERSCRIPTS)  # faster to typeset than mathematics
     return f"{'' if digits == '1' else f'{digits}·'}10{power}"
 
 
 def whole_numbers(*all_axis: Axis) -> None:
-    """Put ticks at whole numbers only, also where there is but one."""
+    """Put ticks only at whole numbers, even if there is only one."""
     from matplotlib.ticker import MaxNLocator
 
     for axis in all_axis:
@@ -161,7 +161,7 @@ def logarithmic_if_wide(values: Sequence[float], *all_axis: Axis) -> None:
 
 
 def plain(axes: Axes, grid: Literal["x", "y", "both"] | None = None) -> None:
-    """Remove the frame's upper and right side; a grid for the values of an axis is behind what is drawn."""
+    """Remove the frame's upper and right sides; an optional grid lies behind the curves."""
     axes.spines[["top", "right"]].set_visible(False)
     if grid is not None:
         axes.grid(axis=grid, color="0.9")
@@ -169,12 +169,12 @@ def plain(axes: Axes, grid: Literal["x", "y", "both"] | None = None) -> None:
 
 
 def save(figure: Figure, path: Path | str) -> None:
-    """Write a figure as PNG, SVG or PDF, by the path's end; the same figure gives the same file.
+    """Write a figure as PNG, SVG or PDF, by the path's suffix; the same figure gives the same file.
 
     Raises
     ------
     ValueError
-        If the path ends otherwise.
+        If the path has another suffix.
     """
     suffix = Path(path).suffix.lower()
     if suffix == ".png":
@@ -197,14 +197,14 @@ def png(figure: Figure) -> bytes:
 
 @contextmanager
 def _silence() -> Iterator[None]:
-    """Without warnings of labels for which there is no room, or of letters that no font has."""
+    """Suppress warnings of labels that do not fit, or of letters missing in fonts."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         yield
 
 
 def render(figure: Figure, dots_per_inch: int) -> Image.Image:
-    """A figure in pixels, of 256 colours: in line art none is missed, and files are a third as large."""
+    """A figure as an image with 256 colours: enough for line art, and files are a third as large."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from PIL import Image
 

@@ -33,18 +33,18 @@ from simbias.pictures.trial.comparison import (
 )
 from simbias.trial.study import Study
 
-WIDTH, EACH, DOTS_PER_INCH = 6.6, 2.2, 100  # in, of the picture at least and of each drawing
+WIDTH, EACH, DOTS_PER_INCH = 6.6, 2.2, 100  # in: minimum width of the picture, and width of each drawing
 HEAD, FOOT = 0.55, 0.4  # in, above and below the drawings
-MOST_SECONDS = 20.0  # what takes longer is shown faster than in real time
-PICTURE_SECONDS = 0.1  # GIF knows hundredths of a second
-LAST = 1500  # ms for which the last picture stays
+MOST_SECONDS = 20.0  # longer rollouts are shown faster than real time
+PICTURE_SECONDS = 0.1  # GIF times are in hundredths of a second
+LAST = 1500  # ms, duration of the last picture
 COLORS, NEARLY_WHITE = 24, 245
 LINE = 34  # characters
-VIEW_FRAMES = 20  # of each rollout, to find a view that holds it
+VIEW_FRAMES = 20  # of each rollout, to find a view that contains it
 
 
 class Scene(NamedTuple):
-    """A rollout, and what shows it."""
+    """A rollout, and its axes and artists."""
 
     axes: Axes
     rollout: Rollout
@@ -55,8 +55,8 @@ class Scene(NamedTuple):
 def save_animation(study: Study, iterations: Sequence[Iteration], file: Path | str | IO[bytes]) -> None:
     """Write a GIF of the last policy in simulation and of the worst experiment, as `animate` does.
 
-    All start at the experiment's start: the nominal model alone, the one with the learned bias that the
-    policy was optimised on, if anything was learned, and the hardware. What has failed stays so, pale.
+    All begin at the experiment's start: the nominal model alone, the corrected model used to optimise the
+    policy (if anything was learned), and the hardware. A failed rollout freezes and turns pale.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def animate(
 ) -> None:
     """Write a GIF of rollouts side by side, each under its name, in color.
 
-    It is in real time; what takes longer is shown in `MOST_SECONDS`. Errors as of `save_animation`.
+    It runs in real time; longer rollouts are compressed to `MOST_SECONDS`. Errors as for `save_animation`.
     """
     draw, move = drawing_of(task), movement_of(task)
     if draw is None or move is None:
@@ -103,7 +103,7 @@ def animate(
 
 
 def _lay_out(figure: Figure, task: Task, scenes: Sequence[Scene], move: Movement) -> None:
-    """Put the scenes side by side, in one view that holds all their frames."""
+    """Put the scenes side by side, with a common view of all their frames."""
     for axes, rollout, artists, _ in scenes:
         for frame in np.linspace(0, rollout.frames, VIEW_FRAMES).round().astype(int):
             move(artists, task, rollout.states[frame])
@@ -125,7 +125,7 @@ def _lay_out(figure: Figure, task: Task, scenes: Sequence[Scene], move: Movement
 def _pictures(
     figure: Figure, task: Task, scenes: Sequence[Scene], move: Movement, frames: Sequence[int]
 ) -> Iterator[Image.Image]:
-    """The scenes at the frames; what stands still is drawn once."""
+    """The scenes at the frames; static parts are drawn once."""
     moving = [(s.axes, artist) for s in scenes for artist in (*s.artists.values(), s.clock)]
     for _, artist in moving:
         artist.set_animated(True)
@@ -150,7 +150,7 @@ def _pictures(
 
 
 def _palette(picture: Image.Image) -> Image.Image:
-    """The palette of a picture; nearly white becomes white, as it was before colors were averaged."""
+    """The palette of a picture; near-white becomes white, as before averaging of colors."""
     palette = picture.quantize(COLORS, dither=Image.Dither.NONE)
     colors = np.array(palette.getpalette()).reshape(-1, 3)
     colors[colors.min(axis=1) >= NEARLY_WHITE] = 255

@@ -1,4 +1,4 @@
-"""Hardware experiments and the same in simulation, and how both are named."""
+"""Hardware experiments beside their simulations, and the names of both."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from simbias.trial.study import Study
 
 
 class NamedRollout(NamedTuple):
-    """A rollout and how it is shown."""
+    """A rollout, with its name and style."""
 
     name: str
     rollout: Rollout
@@ -25,19 +25,19 @@ class NamedRollout(NamedTuple):
 
 
 def cost_limit(study: Study) -> float:
-    """Z_max, which parts successes from others; inf where the task itself says what succeeds."""
+    """Z_max, which separates successes from failures; inf if the task itself decides success."""
     return np.inf if study.task.says_success else study.cost.max_cost
 
 
 def cost_markers(study: Study, experiments: Sequence[Rollout]) -> Iterator[tuple[str, Flags]]:
-    """Markers of experiments' costs, and which (k,) have them: crosses, where the limit does not tell."""
+    """Markers of experiments' costs, and which (k,) have them: crosses if the limit does not show failure."""
     limit = cost_limit(study)
     missed = np.array([each.cost < limit and not study.passes(each) for each in experiments], np.bool_)
     yield from ((marker, some) for marker, some in (("o", ~missed), ("X", missed)) if some.any())
 
 
 def simulated(study: Study, iteration: Iteration, experiments: Sequence[Rollout]) -> list[Rollout]:
-    """Experiments of an iteration in its policy's simulation, from the same starts; [] without one."""
+    """Experiments of an iteration repeated in its policy's simulation, from equal starts; [] without one."""
     model = iteration.model
     if model is None or not experiments:
         return []
@@ -49,7 +49,7 @@ def simulated(study: Study, iteration: Iteration, experiments: Sequence[Rollout]
 
 
 def on_nominal(study: Study, iteration: Iteration, experiment: Rollout) -> NamedRollout:
-    """An experiment of an iteration on the nominal model alone, from the same start."""
+    """An experiment of an iteration repeated on the nominal model alone, from the same start."""
     own = study.designed_on(iteration.model)
     rollout = own.simulate(experiment.parameters, None, experiment.states[0])
     return NamedRollout("nominal model alone", rollout, NOMINAL, ":")
@@ -58,7 +58,7 @@ def on_nominal(study: Study, iteration: Iteration, experiment: Rollout) -> Named
 def in_simulation(
     study: Study, iterations: Sequence[Iteration], iteration: Iteration, experiment: Rollout
 ) -> NamedRollout | None:
-    """An experiment in its policy's simulation, from the same start; None without one."""
+    """An experiment repeated in its policy's simulation, from the same start; None without one."""
     model = iteration.model
     if model is None:
         return None
@@ -71,7 +71,7 @@ def in_simulation(
 
 
 def has_samples(iterations: Sequence[Iteration], iteration: Iteration) -> bool:
-    """Whether its policy's bias was learned: from D before it, or from random experiments."""
+    """Whether an iteration's policy used a learned bias: from earlier D, or from random experiments."""
     if iteration.index == 0:
         return iteration.total_experiments > len(iteration.experiments)
     before = [each.learning for each in iterations if each.index == iteration.index - 1]
@@ -79,7 +79,7 @@ def has_samples(iterations: Sequence[Iteration], iteration: Iteration) -> bool:
 
 
 def learned_before(iterations: Sequence[Iteration], iteration: Iteration) -> bool:
-    """Whether an iteration's policy was made in a simulation that had learned from experiments."""
+    """Whether an iteration's policy was made in a simulation learned from experiments."""
     model = iteration.model
     if model is None:
         return False
@@ -95,23 +95,23 @@ def on_hardware(iterations: Sequence[Iteration]) -> list[Iteration]:
 
 
 def first_and_last(iterations: Sequence[Iteration]) -> list[Iteration]:
-    """The first iteration and the last, if these are two."""
+    """The first and the last iteration, if these differ."""
     return [iterations[0], *iterations[1:][-1:]]
 
 
 def policy_experiments(iteration: Iteration) -> list[Rollout]:
-    """The experiments of the policy that an iteration arrived at; it may have tried others too."""
+    """The experiments of an iteration's final policy; it may have tried others too."""
     theta = iteration.parameters
     return [rollout for rollout in iteration.experiments if np.array_equal(rollout.parameters, theta)]
 
 
 def worst_experiment(iteration: Iteration) -> Rollout:
-    """The most expensive experiment of the policy that an iteration arrived at."""
+    """The most costly experiment of an iteration's final policy."""
     return max(policy_experiments(iteration), key=lambda rollout: rollout.cost)
 
 
 def policy_words(iteration: Iteration) -> str:
-    """A policy, named by the experiments that it rests on."""
+    """A policy's name, by the experiments it was learned from."""
     before = iteration.total_experiments - len(iteration.experiments)
     if iteration.model is None:
         return f"Policy of iteration {iteration.index}"

@@ -1,4 +1,4 @@
-"""Costs that the simulation predicted, and that the hardware gave."""
+"""Costs predicted in simulation and measured on hardware."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from simbias.pictures.trial.comparison import cost_limit, cost_markers, simulate
 from simbias.trial.study import Study
 
 HEIGHT = 2.6  # in, of a panel
-ASIDE = 0.16  # iterations, between experiments of one iteration
+ASIDE = 0.16  # in iterations, offset between experiments of one iteration
 PALEST = 0.9  # share of white in the face of the first iteration's pairs
 SEARCHED = "predicted by the search, from its own starts"
 LEGEND = {
@@ -45,12 +45,12 @@ NO_SUCCESS = {"no success": Line2D([], [], color=HARDWARE, marker="X", linestyle
 def costs(study: Study, iterations: Sequence[Iteration]) -> Figure:
     """The cost Z (Eq. 8) of each policy, predicted and measured.
 
-    At the left, by iteration: the prediction that the policy was chosen by, each hardware experiment's cost,
-    and, joined to it, that of its policy from the same start in the simulation of the iteration's search.
-    At the right, these pairs, those of later iterations darker; one above the diagonal costs more than
-    simulated. Z_max parts what works from what fails; shaded is what is below it in simulation and above it
-    on hardware. Crosses are experiments without success that cost less than Z_max, as those that fail in
-    their last frame may; where the task itself says what succeeds, all without success.
+    Left, by iteration: the prediction that selected the policy, each hardware experiment's cost and,
+    connected to it, the cost of the policy from the same start in the simulation of the iteration's search.
+    Right: these pairs, darker for later iterations; a pair above the diagonal costs more than simulated.
+    Z_max separates success from failure; the shaded area is below it in simulation and above it on hardware.
+    Crosses are unsuccessful experiments that cost less than Z_max, for example because they fail in their
+    last frame; if the task itself decides success, all unsuccessful ones.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def costs(study: Study, iterations: Sequence[Iteration]) -> Figure:
 
 
 def _divide(axes: Axes, limit: float) -> None:
-    """Draw the diagonal, and divide what works from what fails, if the limit does."""
+    """Draw the diagonal, and separate success from failure if there is a limit."""
     if np.isfinite(limit):
         axes.update_datalim([(limit / 2, limit / 2), (2 * limit, 2 * limit)])
     axes.autoscale_view()

@@ -1,4 +1,4 @@
-"""Errors of predictions of experiments from which nothing was learned yet."""
+"""Prediction errors on experiments before they were used for learning."""
 
 from __future__ import annotations
 
@@ -34,24 +34,24 @@ from simbias.simulation.open_loop import plain as predict_in_numpy
 from simbias.trial.study import Study
 
 HORIZONS = (1, 5, 20, 100)  # frames
-WINDOWS = 40  # at most, in the experiments of an iteration
+WINDOWS = 40  # maximum number in the experiments of an iteration
 HEIGHT = 1.8  # in, of a panel
-NAMES, LONG = 2, 14  # of states in a line of a label; letters of a name that has a line to itself
+NAMES, LONG = 2, 14  # states per line of a label; letters of a name that gets its own line
 NOMINAL_ALONE, CORRECTED = "nominal model alone", "with what had been learned before"
 STYLES = {NOMINAL_ALONE: SeriesStyle(NOMINAL, "s"), CORRECTED: SeriesStyle(SIMULATION, "o")}
-ASIDE = {NOMINAL_ALONE: -0.12, CORRECTED: 0.12}  # iterations
+ASIDE = {NOMINAL_ALONE: -0.12, CORRECTED: 0.12}  # in iterations
 
 
 def prediction_errors(
     study: Study, iterations: Sequence[Iteration], horizons: Sequence[int] = HORIZONS
 ) -> Figure:
-    """Errors of predictions some frames ahead, in each iteration's experiments: medians and quartiles.
+    """Errors of predictions several frames ahead, in each iteration's experiments: medians and quartiles.
 
-    What was learned is from earlier iterations only, and from recordings; before, there is the nominal model
-    alone. A prediction starts at the recorded state in one of some evenly spread frames and applies the
-    inputs that the policy had commanded. Its error is the norm over all states that share a unit. Horizons
-    (in frames) longer than a quarter of the task's or than every experiment are left out, and so are
-    experiments shorter than the longest horizon.
+    Models were learned only from earlier iterations and from recordings; before that, there is only the
+    nominal model. A prediction starts at the recorded state in one of several evenly spaced frames and
+    applies the commanded inputs. Its error is the norm over all states that share a unit. Horizons (in
+    frames) longer than a quarter of the task's or than every experiment are left out, and so are experiments
+    shorter than the longest horizon.
 
     Raises
     ------
@@ -75,7 +75,7 @@ def prediction_errors(
             if not len(pieces):
                 continue  # its experiments ended too early
             errors = prediction_error(bias, nominal, pieces, horizons)
-            if np.any(errors):  # else there is nothing on a logarithmic scale
+            if np.any(errors):  # otherwise a logarithmic scale would be empty
                 entry = Line2D([], [], color=color, marker=marker, linewidth=2.5, markerfacecolor="white")
                 shown[name] = entry
             for row, states in zip(grid, groups.values(), strict=True):
@@ -112,7 +112,7 @@ def _models(
 
 
 def windows(study: Study, iteration: Iteration, frames: int) -> Windows:
-    """Pieces of `frames` frames, spread evenly over the experiments that last as long."""
+    """Windows of `frames` frames, evenly spaced over the experiments that are long enough."""
     experiments = study.of_robot(iteration.experiments)
     whole, most = Windows.of(experiments, 1, 1), max(1, WINDOWS // len(experiments))
     starts = [_spread(rollout.frames - frames, most) for rollout in experiments]
@@ -122,7 +122,7 @@ def windows(study: Study, iteration: Iteration, frames: int) -> Windows:
 
 
 def _spread(last: int, most: int) -> list[int]:
-    """At most `most` of the frames from 0 to the last, evenly spread."""
+    """At most `most` frames from 0 to the last, evenly spaced."""
     return sorted({round(t) for t in np.linspace(0, last, most)}) if last >= 0 else []
 
 
@@ -147,7 +147,7 @@ def _draw(axes: Axes, x: float, values: Array, style: SeriesStyle) -> None:
 
 
 def _share_scale(row: Sequence[Axes]) -> None:
-    """One scale for a row, logarithmic if there is any error."""
+    """Set one scale for a row, logarithmic if there is any error."""
     low, high = min(axes.dataLim.minposy for axes in row), max(axes.dataLim.y1 for axes in row)
     for axes in row:
         if low <= high:

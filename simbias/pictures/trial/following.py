@@ -1,4 +1,4 @@
-"""The reference of a goal that moves, beside what was done."""
+"""The reference of a moving goal, beside the rollouts."""
 
 from __future__ import annotations
 
@@ -34,11 +34,10 @@ LEGEND = {
 
 
 def following(study: Study, iterations: Sequence[Iteration]) -> Figure:
-    """Each of the goal's quantities over time, and its reference: of the first policy and of the last.
+    """Each goal quantity over time with its reference, for the first and the last policy.
 
-    Two quantities in one unit are shown against each other, too, in front. Shown is the worst experiment of
-    each policy and, from the same start, the simulation that it was searched in. A cross is where a rollout
-    failed.
+    Two quantities in one unit are first shown against each other. For each policy, the worst experiment is
+    shown and, from the same start, the simulation used in its search. A cross marks a rollout's failure.
 
     Raises
     ------
@@ -77,7 +76,7 @@ def _near(task: Task, rollout: Rollout, first: Array) -> Array:
 
 
 def _draw_plane(axes: Axes, task: Task, reference: Array, shown: Shown) -> None:
-    """Both quantities against each other, to scale."""
+    """Draw both quantities against each other, to scale."""
     axes.plot(*reference.T, color=REFERENCE, linewidth=3.0)
     for each in shown:
         _draw(axes, *each)
@@ -87,7 +86,7 @@ def _draw_plane(axes: Axes, task: Task, reference: Array, shown: Shown) -> None:
 
 
 def _draw_over_time(axes: Axes, task: Task, goal: int, reference: Array, shown: Shown) -> None:
-    """A quantity over time; the reference (T+1, 2) has times before it."""
+    """Draw a quantity over time; the reference (T+1, 2) has times in its first column."""
     axes.plot(*reference.T, color=REFERENCE, linewidth=3.0)
     for values, rollout, is_real in shown:
         times = task.time_step * np.arange(rollout.frames + 1)
@@ -97,7 +96,7 @@ def _draw_over_time(axes: Axes, task: Task, goal: int, reference: Array, shown: 
 
 
 def _draw(axes: Axes, points: Array, rollout: Rollout, is_real: bool) -> None:
-    """A rollout's points (k, 2), and its failure."""
+    """Draw a rollout's points (k, 2), and its failure."""
     color, line = (HARDWARE, "-") if is_real else (SIMULATION, "--")
     axes.plot(*points.T, line, color=color, linewidth=1.0)
     if rollout.failed_at is not None:

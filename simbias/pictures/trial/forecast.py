@@ -1,4 +1,4 @@
-"""An experiment as simulation forecasts it, with the band that the learner leaves open."""
+"""An experiment and its forecast in simulation, with the learner's uncertainty band."""
 
 from __future__ import annotations
 
@@ -30,20 +30,19 @@ from simbias.trial.study import Study
 HEIGHT = 1.5  # in, of a panel
 DRAWS, SEED = 20, 0
 BAND = (0.05, 0.95)  # quantiles
-POINTS = 250  # of the band along the time
-EDGE = 0.03  # of the axes' height: a bar where the band leaves them
+POINTS = 250  # of the band along time
+EDGE = 0.03  # of the axes' height: a bar where the band exceeds them
 
 
 def forecast(study: Study, iterations: Sequence[Iteration]) -> Figure:
-    """Every state of the robot over time in s, in the last policy's worst experiment and as predicted.
+    """Every state of the robot over time in s: the last policy's worst experiment, and predictions.
 
     All predictions run the experiment's policy from its start, to failure or horizon: on the nominal model
-    alone and, if anything was learned, with the learned bias, as the policy search did. The band holds nine
-    tenths of the rollouts with biases drawn from the learner's posterior (`FittedBias.draw`): each draw is
-    one function for a whole rollout, so that its errors add up, or cancel, as those of the mean would.
-    Without noise, and without what a draw leaves out; a draw that has failed is not in the band any more.
-    The axes hold the experiment and its best prediction; bars at their edge are where the band and the
-    nominal model leave them.
+    alone and, if anything was learned, with the learned bias, as in the policy search. The band contains 90%
+    of the rollouts with biases drawn from the learner's posterior (`FittedBias.draw`). Each draw is one
+    function for a whole rollout, so its errors accumulate or cancel like those of the mean. The band excludes
+    noise, effects that draws omit, and draws after their failure. The axes contain the experiment and its
+    best prediction; bars at the edges mark where the band and the nominal model exceed them.
 
     Raises
     ------
@@ -86,12 +85,12 @@ def forecast(study: Study, iterations: Sequence[Iteration]) -> Figure:
 def _draws(study: Study, model: Model, experiment: Rollout) -> tuple[Array, str] | None:
     """States (`DRAWS`, T+1, n) of an experiment on draws from the posterior, nan after failures; and of what.
 
-    None where a learner does not draw.
+    None if the learner has no draws.
     """
     rng, own = np.random.default_rng(SEED), study.designed_on(model)
     nominal, bias = model.nominal, model.bias
     told = {each.name for each in nominal.estimates}
-    identified = any(each.name in told for each in nominal.parameters)  # else its draws are of the prior
+    identified = any(each.name in told for each in nominal.parameters)  # else draws are from the prior
     drawn_of = ["model"] * identified + ["bias"] * (bias.draw(rng) is not bias)
     if not drawn_of:
         return None
@@ -104,7 +103,7 @@ def _draws(study: Study, model: Model, experiment: Rollout) -> tuple[Array, str]
 
 
 def _draw_band(axes: Axes, time_step: float, draws: Array) -> bool:
-    """The quantiles of the draws (`DRAWS`, T+1) that still run; whether they leave the axes."""
+    """Draw the quantiles of the draws (`DRAWS`, T+1) that still run; return whether they exceed the axes."""
     running = int(np.isfinite(draws).any(axis=0).sum())
     frames = np.unique(np.linspace(0, running - 1, POINTS).round().astype(int))
     low, high = np.nanquantile(draws[:, frames], BAND, axis=0)
@@ -115,7 +114,7 @@ def _draw_band(axes: Axes, time_step: float, draws: Array) -> bool:
 
 
 def _mark_beyond(axes: Axes, times: Array, low: Array, high: Array, color: str, row: int) -> bool:
-    """Bars, in this row from the edge, where the values (k,) leave the axes; whether they do."""
+    """Draw bars, in this row from the edge, where values (k,) exceed the axes; return whether they do."""
     bottom, top = axes.get_ylim()
     near, far = row * EDGE, (row + 1) * EDGE
     edges = ((1.0 - far, 1.0 - near, high > top), (near, far, low < bottom))
@@ -128,7 +127,7 @@ def _mark_beyond(axes: Axes, times: Array, low: Array, high: Array, color: str, 
 
 
 def _view(curves: Sequence[Array]) -> tuple[float, float]:
-    """Limits of an axis that hold curves, with a margin."""
+    """Limits of an axis that contain all curves, with a margin."""
     low, high = min(values.min() for values in curves), max(values.max() for values in curves)
     margin = 0.25 * (high - low) or 1.0
     return low - margin, high + margin

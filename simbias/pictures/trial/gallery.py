@@ -40,7 +40,7 @@ FIGURES: dict[str, Callable[[Study, Sequence[Iteration]], Figure]] = {
 }
 ANIMATION = "animation"
 ALL = (*FIGURES, ANIMATION)
-NONE = "none.txt"  # in place of pictures
+NONE = "none.txt"  # file written instead of pictures
 
 
 def pictures(
@@ -49,10 +49,10 @@ def pictures(
     names: Sequence[str] = ALL,
     withdrawn: Sequence[Withdrawal] = (),
 ) -> dict[str, bytes]:
-    """The pictures of a trial as files by name, PNG and GIF; none of a trial without iterations.
+    """The pictures of a trial as files by name, PNG and GIF; empty without iterations.
 
-    What a task or trial cannot have is left out. In place of a picture that fails there is a warning and a
-    text with the traceback: no trial is worth losing for a picture.
+    Pictures that a task or trial cannot have are left out. If a picture fails, a warning and a text with the
+    traceback replace it, as a failing picture must not end a trial.
     """
     files: dict[str, bytes] = {}
     for name in names if iterations else ():
@@ -71,7 +71,7 @@ def pictures(
 
 
 def illustrate(record: TrialRecord, folder: Path, names: Sequence[str] = ALL) -> None:
-    """Draw pictures into the folder of a trial that has ended, but for those that are there."""
+    """Draw missing pictures into the folder of a finished trial."""
     target = folder / PICTURES
     there = {file.stem for file in target.glob("*") if file.suffix != PART}
     missing = [name for name in names if name not in there]
@@ -89,9 +89,9 @@ def illustrate(record: TrialRecord, folder: Path, names: Sequence[str] = ALL) ->
 def save_all(
     study: Study, iterations: Sequence[Iteration], folder: Path, withdrawn: Sequence[Withdrawal] = ()
 ) -> list[str]:
-    """Write all pictures of a trial to be published, PNG, SVG and GIF; return the names of the files.
+    """Write all pictures of a trial for publication, as PNG, SVG and GIF; return the file names.
 
-    A ConfigError says if no iteration has ended, or the folder cannot be made.
+    ConfigError if no iteration has ended, or the folder cannot be made.
     """
     if not iterations:
         raise ConfigError(str(folder), "no iteration has ended, so there is nothing to draw")
@@ -115,7 +115,7 @@ def save_all(
 def _figure(
     name: str, study: Study, iterations: Sequence[Iteration], withdrawn: Sequence[Withdrawal]
 ) -> Figure:
-    """A figure of a trial; at its foot, the experiments that were withdrawn."""
+    """A figure of a trial, with its withdrawn experiments noted at the bottom."""
     figure = FIGURES[name](study, iterations)
     if withdrawn:
         figure.supxlabel("; ".join(map(str, withdrawn)), fontsize=SMALL)

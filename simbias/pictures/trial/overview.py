@@ -1,4 +1,4 @@
-"""A whole trial in one picture: its first policy on hardware, and its last."""
+"""A whole trial in one picture: its first and last policies on hardware."""
 
 from __future__ import annotations
 
@@ -43,10 +43,10 @@ from simbias.pictures.trial.snapshots import draw_strip
 from simbias.trial.study import Study
 
 COLUMNS = 6  # of snapshots
-PANEL, LABELS = 1.25, 1.4  # in, heights of a panel, and of what is written above and below it
+PANEL, LABELS = 1.25, 1.4  # in, heights of a panel, and of the text above and below it
 SNAPSHOT = 1.02  # in, width
 PAD = 0.08  # in, above and below
-WIDTHS = (4.0, 1.0)  # of the policies, and of the costs
+WIDTHS = (4.0, 1.0)  # relative widths of the policies and the costs
 POINTS = 200  # of a cost over time
 Z_MAX = r"limit $Z_{\max}$"
 
@@ -61,14 +61,14 @@ class Measure(NamedTuple):
 
 
 def overview(study: Study, iterations: Sequence[Iteration], draw: Drawing | None = None) -> Figure:
-    """A trial's first policy on hardware, and its last.
+    """A trial's first and last policies on hardware, and all costs.
 
-    For each of the two: snapshots of the worst of its hardware experiments, where the task has a drawing.
-    Below them, over the same time in s, that experiment and the same in the simulation that the policy was
-    searched in, if it was: the measure of the criterion that failed, in its unit, against its limit; where no
-    experiment failed, or this policy was too costly, the cost so far. At the right: the cost of every
-    hardware experiment of the trial, with crosses as of `costs`, and, from the same start, in the simulation
-    of its policy's search.
+    For each policy: snapshots of its worst hardware experiment, if the task has a drawing. Below them, over
+    the same time in s, are that experiment and its repetition in the simulation of the policy's search, if
+    any. They show the measure of the violated criterion, in its unit, with its limit; if no experiment
+    failed, or this policy was too costly, the cost so far. Right: the cost of every hardware experiment of
+    the trial, with crosses as in `costs`, and its cost from the same start in the simulation of its policy's
+    search.
 
     Raises
     ------
@@ -101,12 +101,12 @@ def overview(study: Study, iterations: Sequence[Iteration], draw: Drawing | None
         grid.set_height_ratios(heights)
     figure.set_size_inches(WIDTH, len(both) * (sum(heights) + LABELS))
     _draw_costs(right.add_subplot(), study, iterations)
-    layout.execute(figure)  # drawing does it again: once leaves labels of nested subfigures cut
+    layout.execute(figure)  # drawing repeats this: once would leave labels of nested subfigures cut
     return figure
 
 
 def _rollouts(study: Study, iterations: Sequence[Iteration], iteration: Iteration) -> list[NamedRollout]:
-    """The worst experiment of an iteration's policy, after the same in simulation if there was a search."""
+    """The worst experiment of an iteration's policy, preceded by its simulation if there was a search."""
     experiment, count = worst_experiment(iteration), len(policy_experiments(iteration))
     name = hardware_words(study) + (f", worst of {count}" if count > 1 else "")
     simulation = in_simulation(study, iterations, iteration, experiment)
@@ -114,7 +114,7 @@ def _rollouts(study: Study, iterations: Sequence[Iteration], iteration: Iteratio
 
 
 def _measure(study: Study, experiment: Rollout, shown: Sequence[Rollout]) -> Measure:
-    """The criterion that an experiment failed, or else the first that failed; the cost if that tells more."""
+    """The criterion violated in an experiment, or else the first violated in any; or the cost."""
     task = study.task
     names = [criterion.name for criterion in task.criteria]
     failures = [rollout.failure for rollout in (experiment, *shown) if rollout.failure in names]
@@ -131,7 +131,7 @@ def _measure(study: Study, experiment: Rollout, shown: Sequence[Rollout]) -> Mea
 
 
 def _cost_so_far(study: Study) -> Measure:
-    """The cost of a rollout cut off at some frames; that of the whole at its end."""
+    """The cost of a rollout truncated at several frames; at its end, that of the whole."""
 
     def so_far(rollout: Rollout) -> tuple[Indices, Array]:
         frames = np.unique(np.linspace(1, rollout.frames, POINTS).round().astype(int))
@@ -143,7 +143,7 @@ def _cost_so_far(study: Study) -> Measure:
 def _draw_measure(
     axes: Axes, study: Study, rollouts: Sequence[NamedRollout], measure: Measure, ticks: Array
 ) -> None:
-    """A measure over time, in simulation and on hardware; a tick below each snapshot."""
+    """Draw a measure over time, in simulation and on hardware, with a tick below each snapshot."""
     values, named = [measure.limit], rollouts[-1].rollout.failure
     for name, rollout, color, line in rollouts:
         frames, measures = measure.of(rollout)
@@ -159,7 +159,7 @@ def _draw_measure(
     axes.set_xlim(ticks[0] - ticks[1] / 2, ticks[-1] + ticks[1] / 2)
     axes.set_xticks(ticks)
     axes.set(xlabel="time (s)", ylabel=measure.label)
-    shade_beyond(axes, measure.limit, measure.limit_label, "left")  # a rollout begins far from it
+    shade_beyond(axes, measure.limit, measure.limit_label, "left")  # a rollout begins far from the limit
     beside = measure.limit if np.isfinite(measure.limit) else values[-1]
     _name_failure(axes, study, rollouts[-1].rollout, beside)
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.1, frameon=False, fontsize=SMALL)
@@ -167,7 +167,7 @@ def _draw_measure(
 
 
 def _name_failure(axes: Axes, study: Study, rollout: Rollout, beside: float) -> None:
-    """The reason of a failure, next to its end: above the limit, where nothing else is drawn, or the end."""
+    """Write the reason of a failure near its end: above the limit, where there is room, or above the end."""
     if rollout.failed_at is not None:
         late = 2 * rollout.failed_at > study.task.horizon
         axes.annotate(
@@ -183,7 +183,7 @@ def _name_failure(axes: Axes, study: Study, rollout: Rollout, beside: float) -> 
 
 
 def _draw_costs(axes: Axes, study: Study, iterations: Sequence[Iteration]) -> None:
-    """The cost of every hardware experiment, and of the same in the simulation of its policy's search."""
+    """Draw the cost of every hardware experiment, and that of its simulation."""
     limit, entries = cost_limit(study), dict[str, Line2D]()
     values = [limit]
     for iteration in iterations:

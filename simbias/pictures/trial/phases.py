@@ -28,17 +28,16 @@ from simbias.pictures.trial.comparison import (
 from simbias.trial.study import Study
 
 HEIGHT = 2.3  # in, of a panel
-LONG = 5  # letters of a tick's number, from which few of them fit
-NEAR = 0.5  # of a limit: what comes so close to it is shown together with it
+LONG = 5  # letters of a tick's number; with more, fewer ticks fit
+NEAR = 0.5  # of a limit: a rollout that comes this close is shown with the limit
 
 
 def phases(study: Study, iterations: Sequence[Iteration]) -> Figure:
-    """All experiments of the first and of the last policy, in the planes of a state and its rate.
+    """All experiments of the first and the last policy, in the planes of a state and its rate.
 
-    With each comes the simulation that its policy was searched in, if it was, from the same start (a dot). A
-    cross is where a rollout failed. Shaded is what a criterion forbids to a state or rate by itself
-    (`Criterion.bounds`). Failures also lie elsewhere, as a criterion may weigh several states against each
-    other.
+    Each is shown with its simulation from the policy's search, if any, from the same start (a dot). A cross
+    marks a failure. Shaded areas are forbidden by a criterion for a single state or rate
+    (`Criterion.bounds`). Failures may also lie elsewhere, as a criterion may combine several states.
 
     Raises
     ------
@@ -69,7 +68,7 @@ def phases(study: Study, iterations: Sequence[Iteration]) -> Figure:
 
 
 def state_bounds(task: Task) -> Array:
-    """The largest |x| (n,) that criteria allow each state by itself; infinite where none limits it."""
+    """The largest |x| (n,) that criteria allow for each state alone; infinite if unlimited."""
     return np.array(
         [
             min((criterion.bounds.get(state.name, np.inf) for criterion in task.criteria), default=np.inf)
@@ -81,7 +80,7 @@ def state_bounds(task: Task) -> Array:
 def _draw(
     axes: Axes, task: Task, pair: tuple[int, int], rollouts: Sequence[Rollout], color: str, line: str
 ) -> None:
-    """Rollouts in the plane of two states, each with its start and its failure."""
+    """Draw rollouts in the plane of two states, each with its start and its failure."""
     for rollout in rollouts:
         x, y = rollout.states[:, pair].T
         axes.plot(x, y, line, color=color, linewidth=0.9)
@@ -93,7 +92,7 @@ def _draw(
 
 
 def _share_view(all_axes: Sequence[Axes], bounds: Array) -> None:
-    """One view of all panels of a plane; the bounds (2,) of its states where a rollout comes near them."""
+    """Set one view for all panels of a plane, including those bounds (2,) that a rollout approaches."""
     corners = np.concatenate([axes.dataLim.get_points() for axes in all_axes])
     low, high = corners.min(axis=0), corners.max(axis=0)
     margin = 0.06 * np.where(high > low, high - low, 1.0)  # of a state that never changes
@@ -111,7 +110,7 @@ def _share_view(all_axes: Sequence[Axes], bounds: Array) -> None:
 
 
 def _entries(simulates: bool, fails: bool, shaded: bool) -> dict[str, Artist]:
-    """The legend, of what there is."""
+    """The legend of the elements shown."""
     failure = Line2D([], [], color=LIMIT, marker="X", linestyle="", markeredgecolor="white")
     return {
         "start": Line2D([], [], color="black", marker="o", markersize=3.5, linestyle=""),

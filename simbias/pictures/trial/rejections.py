@@ -1,4 +1,4 @@
-"""Samples that were learned from, and the reasons why others were not (Section IV-C)."""
+"""Training samples, and the reasons for rejecting others (Section IV-C)."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from simbias.trial.study import Study
 
 BAR, MARGIN = 0.3, 0.2  # in, for each iteration and beside them
 COLORS = (*OTHERS, HARDWARE, NOMINAL)
-READABLE = 0.04  # of the longest bar: where a number has room
+READABLE = 0.04  # of the longest bar: minimum length for a number
 
 
 def rejections(study: Study, iterations: Sequence[Iteration]) -> Figure:
     """For each iteration that learned, how many of the downsampled transitions became training data.
 
     The others are counted under the first criterion that rejected them. Beside each bar is the size of D
-    afterwards, which a cleared model begins again (line 7 of Algorithm 1), and to which a pass adds none.
+    afterwards. It restarts when the model is cleared (line 7 of Algorithm 1), and a pass adds nothing.
 
     Raises
     ------

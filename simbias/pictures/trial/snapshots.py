@@ -23,9 +23,9 @@ def snapshots(
 ) -> Figure:
     """A row of snapshots for every named rollout, a column for every time in s; one scale for all.
 
-    Hardware, on which something was sensed, is orange as in all pictures, and simulation blue.
-    A rollout that has failed by a column's time is shown there, pale, at the frame at which it failed, with
-    the time and the failure in words; after that its row is empty.
+    Hardware, recognised by sensor readings, is orange as in all pictures, and simulation is blue. If a
+    rollout has failed by a column's time, it is shown there pale, at the frame of the failure, with the time
+    and the failure in words; the rest of its row is empty.
 
     Raises
     ------
@@ -52,7 +52,7 @@ def draw_rows(
     times: Sequence[float] | Array,
     draw: Drawing,
 ) -> None:
-    """Draw rollouts into rows under their times (s); set their view afterwards, with `share_view`."""
+    """Draw rollouts into rows below their times (s); set their view afterwards with `share_view`."""
     grid = figure.subplots(len(rollouts), len(times), squeeze=False)
     for row, (name, rollout, color, _) in zip(grid, rollouts, strict=True):
         failing = draw_strip(row, task, rollout, times, draw, color)
@@ -70,7 +70,7 @@ def _write(axes: Axes, words: str, place: tuple[float, float], **style: str | fl
 
 
 def ending_words(task: Task, rollout: Rollout) -> str:
-    """When and why a rollout failed."""
+    """When and why a rollout failed, in words."""
     why = f": {task.words(rollout.failure)}" if rollout.failure else ""
     return f"{seconds(task, rollout.frames):.2f} s{why}"
 
@@ -83,9 +83,9 @@ def draw_strip(
     draw: Drawing,
     color: str = HARDWARE,
 ) -> Axes | None:
-    """Draw a rollout at the times (s) into a row of axes; return those that show its failure, if any do.
+    """Draw a rollout at the times (s) into a row of axes; return the axes that show its failure.
 
-    Set their view afterwards, with `share_view`.
+    Set their view afterwards with `share_view`.
     """
     failing = None
     for axes, time in zip(row, times, strict=True):
