@@ -139,7 +139,7 @@ class Thresholds(Samples):
         return np.where(within.all(axis=1), -1, np.argmin(within, axis=1))
 
     def _spread(self, transitions: Transitions, count: int) -> Transitions:
-        """Pick `count` transitions, each the farthest from those before it, with inputs over their limits."""
+        """Pick `count` transitions, each farthest from the earlier ones; inputs relative to their limits."""
         if not count:
             return transitions
         places = transitions.inputs.copy()
