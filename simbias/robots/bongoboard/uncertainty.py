@@ -29,7 +29,7 @@ class Uncertainty:
     payload_y: NonNegative = 0.0  # m, normal: off the board
     motor_gain: Spread = 0.0  # log-normal
     torque_offset: NonNegative = 0.0  # N m, normal
-    torque_limit: NonNegative = 0.0  # N m, uniform: the motor saturates up to so much below the task's limit
+    torque_limit: NonNegative = 0.0  # N m, uniform: largest reduction of the motor's limit from the task's
     lag: Lag = 0.0  # s, half-normal: first-order lag of the torque
     delay: Lag = 0.0  # s, uniform: the torque acts up to this much later
 

@@ -24,7 +24,7 @@ class State:
     mean: Coordinate = 0.0
     deviation: NonNegative = 0.0  # of hardware starts
     uniform: Range | None = None  # least and largest mean
-    values: Annotated[list[Coordinate], Field(min_length=1)] | None = None  # means; of several states, a grid
+    values: Annotated[list[Coordinate], Field(min_length=1)] | None = None  # means; a grid for several states
     wraps: bool = False  # whether it is an angle, in any unit of angle, modulo one turn
 
 

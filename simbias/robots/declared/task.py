@@ -239,7 +239,7 @@ class Declared(Task):
     def _measures(self, key: str, conditions: Mapping[str, Failure], names: Sequence[str]) -> Expressions:
         """Measures that exceed the limits of conditions if these hold."""
         known, each = {**self._known, "variables": names}, conditions.items()
-        Expressions({f"{key}.{name}": condition.value for name, condition in each}, **known)  # or it raises
+        Expressions({f"{key}.{name}": condition.value for name, condition in each}, **known)  # may raise
         signed = {f"{key}.{name}": measure_of(f"{key}.{name}", condition) for name, condition in each}
         return Expressions(signed, **known)
 

@@ -100,7 +100,7 @@ class Mechanism:
         model.opt.timestep = task.time_step / self.substeps
         model.opt.disableflags |= engine.mjtDisableBit.mjDSBL_AUTORESET  # no reset after divergence
         if not (model.geom_contype.any() and model.geom_conaffinity.any()) and not model.npair:
-            model.opt.disableflags |= engine.mjtDisableBit.mjDSBL_CONTACT  # not to look for what cannot touch
+            model.opt.disableflags |= engine.mjtDisableBit.mjDSBL_CONTACT  # skips the collision search
         positions = [_places(model.jnt_qposadr, model.nq, model.joint(name).id) for name in joints]
         velocities = [_places(model.jnt_dofadr, model.nv, model.joint(name).id) for name in joints]
         # (n,) indices in full states, after the time
