@@ -127,7 +127,7 @@ class CheckedHardware(Hardware):
         self.sets_start = hardware.sets_start
 
     def with_hardware(self, hardware: Hardware, task: Task) -> CheckedHardware:
-        """A copy for a task of another horizon, its conditions and record the same; the timeout grows too."""
+        """A copy for a task with another horizon, with the same conditions and record; the timeout scales."""
         other = copy(self)
         other._hardware, other._task, other.sets_start = hardware, task.without_targets, hardware.sets_start
         if self._timeout is not None:

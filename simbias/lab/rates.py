@@ -16,7 +16,7 @@ LATE, PART = 0.002, 0.3  # s, and share of a frame: tolerated delay, as of simul
 SURE = 4.0  # standard errors of a significant delay
 TWICE = 2.0  # allowed ratio of position changes to integrated velocities
 CORRELATED = 0.8  # correlation below which sizes of velocities are not compared
-UNRELATED, CLEAR = 0.3, 4.0  # below, however late: others, if both change by so many times their noise
+UNRELATED, CLEAR = 0.3, 4.0  # below at any delay, columns are unrelated; change relative to noise
 LASTING = 0.5  # s, least duration of changes for a verdict
 JUMP = 3.0  # times the largest velocity's motion between two samples: impossible for a robot
 RARELY, FAR = 0.98, 4.0  # a jump exceeds this quantile of samples by this factor
@@ -59,7 +59,7 @@ def jumps(times: Array, values: Array, rates: Array) -> Indices:
     """Samples (j,) before which values (k,) jump, by much more than their rates (k,) explain."""
     steps, moved = np.diff(times), np.diff(values)
     excess = np.abs(moved - steps * (rates[1:] + rates[:-1]) / 2)
-    usual = np.quantile(excess[moved != 0], RARELY) if moved.any() else np.inf  # an encoder's step, if slow
+    usual = np.quantile(excess[moved != 0], RARELY) if moved.any() else np.inf  # e.g. an encoder's step
     due = np.maximum(steps, np.median(steps))  # a sample may be late, and the next one on time
     return np.flatnonzero(excess > np.maximum(JUMP * np.abs(rates).max() * due, FAR * usual)) + 1
 

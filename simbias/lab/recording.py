@@ -40,7 +40,7 @@ class Recording:
     """Pieces of a recording, between gaps and resets."""
 
     pieces: tuple[Rollout, ...]
-    times: tuple[Array, ...]  # of each piece (k,): when the first state was measured, in s from its start
+    times: tuple[Array, ...]  # of each piece (k,): times of the first state's samples, in s from its start
     notes: tuple[str, ...]  # changes made to the data, and limits of their information
     doubts: tuple[str, ...] = ()  # about parameters identified from the recording
 

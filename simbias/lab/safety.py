@@ -1,4 +1,4 @@
-"""Limits at which an experiment is aborted: held in each frame where simbias runs the loop, or requested."""
+"""Limits at which an experiment is aborted: enforced in each frame by simbias's loop, else requested."""
 
 from __future__ import annotations
 
@@ -189,7 +189,7 @@ class SafetyLimitedPolicy(Policy):
     def act_within_criteria(
         self, theta: Array, x: Array, t: float, policy_state: Array
     ) -> tuple[Array, Array]:
-        """Inputs and state of the policy; beyond a failure criterion no numbers, which no limit lets pass."""
+        """Inputs and state of the policy; beyond a failure criterion nan, which violates any limit."""
         u, policy_state = self.policy.act(theta, x, t, policy_state)
         limits = np.array([criterion.limit for criterion in self._task.criteria])
         beyond = np.where(self._task.measure(x) <= limits, 0.0, np.nan)

@@ -125,7 +125,7 @@ class Process(Hardware):
         states = _rows(answer["states"], "states", len(self._task.states))
         inputs = _rows(answer["inputs"], "inputs", len(self._task.inputs))
         if len(inputs) == len(states) - 1:
-            inputs = np.concatenate([inputs, np.zeros((1, inputs.shape[1]))])  # nothing acts after it
+            inputs = np.concatenate([inputs, np.zeros((1, inputs.shape[1]))])  # no input acts at the end
         times = self._task.time_step * np.arange(len(states), dtype=np.float64)
         if (given := answer.get("times")) is not None:
             rows = [[time] for time in given] if isinstance(given, list) else given

@@ -70,7 +70,7 @@ def read(path: Path, request: ExperimentRequest) -> Rollout:
     table = read_table(path, may_lack=FAILURE)
     columns = _columns(table, request.task)
     n = len(request.task.states)
-    numbers = table.numbers(columns, may_be_blank=columns[1 + n :])  # nothing acts after the last frame
+    numbers = table.numbers(columns, may_be_blank=columns[1 + n :])  # no input acts after the last
     measurements = Measurements(
         numbers[:, 0], numbers[:, 1 : 1 + n], numbers[:, 1 + n :], _failure(table), table.rows
     )
@@ -131,7 +131,7 @@ def frame(measured: Measurements, request: ExperimentRequest, source: str) -> Ro
     times = measured.times - measured.times[0]
     _check_start(measured.states, rows, request, source)
     _check_times(times, rows, task, source)
-    _check_inputs(measured.inputs[:-1], rows, request, source)  # nothing acts after the last frame
+    _check_inputs(measured.inputs[:-1], rows, request, source)  # no input acts after the last
     unwound = _unwound(measured.states, request)
     frames = np.arange(math.floor(times[-1] / task.time_step + JITTER) + 1)[: task.horizon + 1]
     wanted = frames * task.time_step
@@ -276,7 +276,7 @@ def _ended(
     """The rollout up to the first state that failed or was unsafe, or to the failure that the lab reports."""
     task = request.task
     unsafe = np.any(np.abs(states) > request.bounds.states, axis=1)
-    acted = np.arange(len(states)) < task.horizon  # nothing acts after the last frame, safe or not
+    acted = np.arange(len(states)) < task.horizon  # no input acts after the last, safe or not
     ends = np.flatnonzero((task.violated(states) >= 0) | (unsafe & acted))
     k = int(ends[0]) if len(ends) else len(inputs)
     if len(ends):
