@@ -52,7 +52,7 @@ class Composition:
 
     @cached_property
     def hash(self) -> str:
-        """Identity of a trial: a hash of what affects its result."""
+        """Identity of a trial: a hash of everything that affects its result."""
         return self.hash_with({})
 
     @cached_property

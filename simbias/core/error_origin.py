@@ -1,4 +1,4 @@
-"""The component in which an error arose, by class and method, so that its author knows where to look."""
+"""The component in which an error arose, by class and method, to direct its author."""
 
 from __future__ import annotations
 

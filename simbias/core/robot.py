@@ -29,7 +29,7 @@ class HardwareError(RuntimeError):
 
 
 class Waiting(Exception):  # noqa: N818 (no error: a lab takes its time)
-    """The result of an experiment is not there yet; the message says in one sentence what to do meanwhile."""
+    """The result of an experiment is not there yet; the message says what to do meanwhile."""
 
 
 class Criterion(NamedTuple):

@@ -30,10 +30,10 @@ class DynamicOutputFeedback(Policy):
 
     - The filter keeps sensor noise out of the input, but delays it.
     - The integral removes the steady error due to a constant offset, such as a sloping floor. It is held
-    while an input is at its limit.
+      while an input is at its limit.
     - Inputs that were sent but are not yet visible in the measured state predict the future state. If the
-    input B u acts after a delay, z + B s is the state at that time, to first order in the delay, and g = H B
-    compensates the delay.
+      input B u acts after a delay, z + B s is the state at that time, to first order in the delay, and
+      g = H B compensates the delay.
     - The constant u_0 balances a steady load from the first frame on, before the integral has built up.
 
     Parameters

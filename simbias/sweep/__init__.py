@@ -1,1 +1,1 @@
-"""Grids of trials: what they are, running them, their tables."""
+"""Grids of trials: defining them, running them, and their tables."""

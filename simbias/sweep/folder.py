@@ -1,9 +1,10 @@
 """The folder of a sweep: its trials and its results. Each trial has its own folder.
 
 sweep.json                   name, hash, command, config, axes, and each trial's hash and place in the grid
-state.json                   progress, its table and the table's meaning trials.csv, table.csv, .md   a row
-for each trial, a row for each cell experiments/<hash>.json      outcomes of additional experiments for
-figures figures/                     the figures
+state.json                   progress, its table and the table's meaning
+trials.csv, table.csv, .md   a row for each trial, a row for each cell
+experiments/<hash>.json      outcomes of additional experiments for figures
+figures/                     the figures
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ from simbias.terminal.notices import preparing, slowness_in_one_line
 from simbias.trial.study import Study
 
 SECONDS, TRAJECTORIES = 5.0, 40  # of the next excitation
-CHOSEN = r"(?!(true|false|null|nan|inf)$)[a-z]"  # begins an option that Hydra takes for no number or constant
+CHOSEN = r"(?!(true|false|null|nan|inf)$)[a-z]"  # start of an option that Hydra takes for a plain word
 
 
 class Request(NamedTuple):

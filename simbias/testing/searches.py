@@ -75,7 +75,7 @@ def _on_nominal_model(study: Study) -> Study:
     optimizer, budget, hardware = copy(study.optimizer), study.budget, _NominalHardware(study)
     optimizer.max_evaluations = min(EVALUATIONS, optimizer.max_evaluations)
     experiments = min(EXPERIMENTS, budget.experiments or EXPERIMENTS)
-    method = copy(study.method)  # which may have hardware of its own to search on
+    method = copy(study.method)  # it may have its own hardware to search on
     vars(method).update((name, hardware) for name, own in vars(method).items() if isinstance(own, Hardware))
     return replace(
         study,

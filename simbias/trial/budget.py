@@ -9,7 +9,7 @@ from simbias.core.ranges import Count, Seconds
 
 
 class BudgetSpent(Exception):  # noqa: N818 (no error: a trial may end this way, unsuccessfully)
-    """A trial asks for an experiment that its budget does not allow."""
+    """A trial requests an experiment that its budget does not allow."""
 
 
 @dataclass(frozen=True)

@@ -1,13 +1,16 @@
 """The folder of a trial: its config and all its steps, append-only.
 
     trial.json              composed config, chosen options, versions, the user's own code; written first
-    attempts.jsonl          a line for each start of a process, each stop, each withdrawal 0000_search.json
-    the steps in the order in which they ended: 0001_experiment.npz     searches, hardware experiments,
-    0002_iteration.json     iterations, with all their measured numbers, 0009_test_episode.npz episodes of the
-    last policy's test, if requested test_episodes.csv       the test as a table outcome.json how the trial
-    ended; without it, the trial has not ended refused_0000.json       what the hardware returned instead of a
-    rollout error_0000.txt          the traceback of an attempt pictures/               drawn from all this;
-    may be deleted
+    attempts.jsonl          a line for each start of a process, each stop, each withdrawal
+    0000_search.json        the steps in the order in which they ended:
+    0001_experiment.npz     searches, hardware experiments,
+    0002_iteration.json     iterations, with all their measured numbers,
+    0009_test_episode.npz   episodes of the last policy's test, if requested
+    test_episodes.csv       the test as a table
+    outcome.json            how the trial ended; without it, the trial has not ended
+    refused_0000.json       what the hardware returned instead of a rollout
+    error_0000.txt          the traceback of an attempt
+    pictures/               drawn from all this; may be deleted
 
 Running a trial again replays its steps and continues from there; reading it replays them and stops.
 Everything else that shows a trial, such as a table, a picture or an MLflow run, is made from its folder.

@@ -103,7 +103,7 @@ class Run:
         return self._evaluations.judge(inside, cost)
 
     def _guessed(self, inside: Array, key: bytes) -> float:
-        """A cost in place of an unknown one."""
+        """A guess for an unknown cost."""
         self._evaluations.check_budget()
         if not self.unknown:
             self._evaluations = copy(self._evaluations)  # guesses, and later points, are judged separately

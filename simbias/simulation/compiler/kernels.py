@@ -10,8 +10,8 @@ once on symbols, and its computation is written down as a kernel (`simbias.simul
 Supported are arithmetic, elementary functions, indices, sums, matrix products, `np.where` with comparisons,
 `np.clip`, `np.stack`, filling arrays from `np.zeros_like` and `x.copy()`, `np.linalg.solve` of small
 matrices, `np.interp` of a constant table, `np.rint` and `np.round`. `%`, `//` and `np.floor` give NumPy's
-numbers even where a period begins: for `t / p`, and for that times a number or plus a phase. Other uses of `t
-/ p` may be off by rounding: `(t / p) % 1` is never below 0, but `t / p - np.floor(t / p)` may be. `%` and
+numbers even where a period begins: for `t / p`, and for that times a number or plus a phase. Other uses of
+`t / p` may be off by rounding: `(t / p) % 1` is never below 0, but `t / p - np.floor(t / p)` may be. `%` and
 `//` take 6 ns each, `np.floor` less than one. Arrays of conditions add up as in NumPy: the sum of two is a
 condition, and `np.sum` counts. Supported keywords are `axis`, `keepdims`, `dtype=float`, the named bounds of
 `np.clip`, and `out` of elementwise functions; a warning names the first other keyword argument, such as

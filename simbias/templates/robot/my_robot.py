@@ -1,7 +1,8 @@
-"""A robot of your own: what is to be done, what you believe of it, and the robot itself.
+"""A custom robot: the task, the nominal model, and the robot itself.
 
-It is a pole on a motor, to be held upright: replace it by yours, piece by piece. `python -m simbias check`
-says what does not fit yet. simbias/core/ holds every contract; all arrays are of floats, in the task's units.
+It is a pole on a motor, to be held upright: replace it with yours, piece by piece. `python -m simbias check`
+reports what does not fit yet. simbias/core/ holds every contract; all arrays hold floats, in the task's
+units.
 """
 
 from __future__ import annotations
@@ -44,9 +45,9 @@ class Upright(Task):
 
 
 class Belief(Nominal):
-    """Your simulation model f'. Parameters are what you don't know exactly, and by how much.
+    """Your simulation model f'. `parameters` are the values that you don't know exactly, with their spreads.
 
-    It is compiled as long as it is ordinary NumPy, np.where in place of `if`
+    It is compiled as long as it is ordinary NumPy, with np.where instead of `if`
     (simbias/simulation/compiler/kernels.py).
     """
 
@@ -87,7 +88,7 @@ class Robot(Hardware):
         self._cable = cable
 
     def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
-        """One experiment: on a real robot, send u, wait for the next frame, and read x."""
+        """Run one experiment: on a real robot, send u, wait for the next frame, and read x."""
         task = self._task
         controller = policy.controller(theta, task.time_step)
         states, inputs = [start], list[Array]()

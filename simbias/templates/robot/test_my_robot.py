@@ -12,5 +12,5 @@ CHOICES = ["preset=my_robot", "tracking=none"]
 
 @pytest.mark.parametrize("check", conformance.CHECKS, ids=str)
 def test_conformance(check: conformance.Check) -> None:
-    """`python -m simbias check` tells the same."""
+    """`python -m simbias check` runs the same checks."""
     check.run(simbias.load(CHOICES, "conf"))
