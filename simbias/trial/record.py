@@ -158,7 +158,7 @@ class FolderRecord(Record):
         return rollout, place
 
     def _former(self, kind: str, theta: Array, place: tuple[int, ...]) -> tuple[Rollout | None, int]:
-        """The superseded step with theta (p,) in this place, if any; how many there were withdrawn."""
+        """The superseded step with theta (p,) in this place, if any, and the number of withdrawn ones."""
         withdrawn = {each.experiment for each in self.folder.withdrawals()}
         latest, count = None, 0
         for file in self.folder.all_steps() if withdrawn and place else ():

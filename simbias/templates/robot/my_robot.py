@@ -73,7 +73,7 @@ class Belief(Nominal):
 
 
 class Robot(Hardware):
-    """The robot. This one is simulated too: its pole is longer, its joint rubs, and a cable pulls."""
+    """The robot. This one is also simulated: its pole is longer, its joint has friction, a cable pulls."""
 
     def __init__(
         self,
