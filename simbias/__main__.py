@@ -152,8 +152,8 @@ def _withdraw(parsed: argparse.Namespace) -> int:
 
     withdrawal = withdraw(parsed.file, parsed.reason)
     steps = len(withdrawal.superseded)
-    counts = f"{counted(steps, 'step')} after it count{'s' if steps == 1 else ''} no longer"
-    print(f"{withdrawal}; {counts}. The trial's own command resumes it.")
+    counts = f"{counted(steps, 'later step')} no longer count{'s' if steps == 1 else ''}"
+    print(f"{withdrawal}; {counts}. The trial's own command resumes the trial.")
     return SUCCEEDED
 
 
@@ -183,7 +183,7 @@ def _show_config(parsed: argparse.Namespace) -> int:
     from omegaconf import OmegaConf
 
     if "overrides" not in parsed or "hash" in parsed:
-        problem = f"{parsed.command} has no config to show; run, check, preview and export have"
+        problem = f"{parsed.command} has no config to show; run, check, preview and export have one"
         raise ConfigError("--cfg", problem)
     composition = Variations(parsed.overrides, parsed.config_dir, parsed.allow).composition({})
     print(OmegaConf.to_yaml(OmegaConf.create(dict(composition.config))), end="")
@@ -216,7 +216,7 @@ def _mlflow(parsed: argparse.Namespace) -> Mlflow:
     composition = Variations(parsed.overrides, parsed.config_dir, parsed.allow).composition({})
     store: Tracking = service(composition, "tracking", Tracking)
     if not isinstance(store, Mlflow):
-        raise ConfigError("tracking", "exports to no store; tracking=mlflow does")
+        raise ConfigError("tracking", "has no store to export to; tracking=mlflow has")
     return store
 
 

@@ -37,5 +37,5 @@ def check(overrides: Sequence[str], config_dir: str | None, allow: Sequence[str]
     say(console, f"{chosen}: {end}.")
     if "hardware" not in groups:
         named = f"hardware={study.choices['hardware']}"
-        say(console, f"The hardware was not tried, as it may move: {named} checks it by short experiments.")
+        say(console, f"The hardware was not checked: it may move. {named} checks it in short experiments.")
     return not problems

@@ -22,12 +22,12 @@ from simbias.terminal.notices import slowness_in_one_line
 from simbias.trial.study import Study
 
 SECONDS, TRAJECTORIES = 5.0, 200
-LOOKING = "looking for what tells most"
+LOOKING = "searching for the most informative inputs"
 COMES_BACK = (
-    "A parameter comes back if identify would trust it in most robots, and at least 8 of 10 of its 90% "
-    "intervals hold the truth; by chance, fewer do in 7 of 100 cases."
+    "A parameter comes back if identify would trust it for most robots, and at least 8 of 10 of its 90% "
+    "intervals contain the true value; by chance, fewer do in 7 of 100 cases."
 )
-BOUND = "Those afterwards are lower bounds: identify also counts how errors scatter."
+BOUND = "Deviations afterwards are lower bounds: identify also accounts for the scatter of errors."
 LEAST, MOST = 0.01, 3600.0  # s of inputs
 RARELY = 0.05  # share of robots beyond the limits: up to this, no remedy is suggested
 
@@ -64,13 +64,13 @@ def excite(request: Request, seconds: float, file: Path) -> None:
         )
     ]
     table(console, names, rows)
-    say(console, f"Deviations are in those of the prior. {BOUND}")
+    say(console, f"Deviations are relative to the prior's. {BOUND}")
     if not learned.rollouts:
-        say(console, f"As if the model were exact, with white noise of {_levels(study, designer.noise)}.")
-        say(console, "From recordings, in place of their option, how the model errs would count, too.")
-    say(console, f"On the most probable model and {MODELS - 1} draws, within {_extremes(study, found)}.")
-    remedy = ": lower hardware.safety, or scale the inputs down" if beyond > RARELY else ""
-    say(console, f"Of {FURTHER} other draws, {beyond:.0%} go beyond the limits{remedy}.")
+        say(console, f"This assumes an exact model and white noise of {_levels(study, designer.noise)}.")
+        say(console, "With recordings, in place of an option identified from them, model errors count, too.")
+    say(console, f"The most probable model and {MODELS - 1} draws stay within {_extremes(study, found)}.")
+    remedy = ": tighten hardware.safety, or scale the inputs down" if beyond > RARELY else ""
+    say(console, f"Of {FURTHER} other draws, {beyond:.0%} exceed the limits{remedy}.")
     say(console, f"Look at it:  {file}")
 
 
@@ -92,7 +92,7 @@ def recovery(request: Request) -> bool:
     console = standard_output()
     study, recordings, _ = request.opened(console)
     if request.recordings and not recordings.rollouts:
-        raise ConfigError("--held-out", "leaves no recording")
+        raise ConfigError("--held-out", "holds out every recording")
     with slowness_in_one_line(), progress(console) as tell_of:
         takes = [
             Take(piece.states[0], piece.inputs, times, name, piece.continues)
@@ -120,7 +120,7 @@ def recovery(request: Request) -> bool:
         for each in recovered
     ]
     table(console, names, rows)
-    say(console, "Medians over robots drawn from what is known, in deviations of the prior.")
+    say(console, "Medians over robots drawn from the prior, relative to the prior's deviations.")
     say(console, COMES_BACK)
     say(console, f"White noise of {_levels(study, noise)}.")
     return not all(each.doubt for each in recovered)

@@ -105,7 +105,8 @@ def identify(request: Request, attach: bool = False) -> bool:
     with slowness_in_one_line():
         study, recordings, held_out = request.opened(console, LONGEST, attach)
         if attach and isinstance(study.hardware, Recorded) and not study.hardware.source_files:
-            raise ConfigError("hardware.folder", "has no recording for --attach: name another hardware")
+            problem = "has no recording to start a trial with (--attach); choose another hardware"
+            raise ConfigError("hardware.folder", problem)
         check_replaces_nothing(study, request.folder, request.option)
         with progress(console) as tell_of:
             assessment = assess(
@@ -115,7 +116,7 @@ def identify(request: Request, attach: bool = False) -> bool:
                 lambda each: tell_of(f"fitting {each}"),
                 recordings.doubt,
             )
-            tell_of("looking for what to record next")
+            tell_of("searching for what to record next")
             excitation = next_excitation(study, assessment)
     notes = (*recordings.notes, *held_out.notes)
     try:
@@ -125,9 +126,9 @@ def identify(request: Request, attach: bool = False) -> bool:
     tell(console, assessment, excitation)
     say(console, f"Look at it:  {request.folder / 'report.html'}")
     again = f"--config-dir {request.configs} {GROUP}={request.option.stem}"
-    say(console, f"Begin a trial with it:  {again}  ({request.option})")
+    say(console, f"Start a trial with it:  {again}  ({request.option})")
     if attach and assessment.better and not assessment.trusted:
-        say(console, "No trial is begun, as no parameter is trusted; the line above begins one anyway.")
+        say(console, "No trial is started, as no parameter is trusted; the line above starts one anyway.")
         return False
     return assessment.better
 
@@ -135,7 +136,7 @@ def identify(request: Request, attach: bool = False) -> bool:
 def next_excitation(study: Study, assessment: Assessment) -> Excitation | str:
     """The most informative trajectory to record next, or the reason why there is none."""
     if not assessment.better:
-        return "the identified model would predict it, which is not to be used"
+        return "it would rely on the identified model, which should not be used"
     rollouts = [rollout for part in assessment.parts for rollout in part.rollouts]
     try:
         designer = Designer(study, assessment.identified, noise_of(rollouts))
@@ -149,7 +150,7 @@ def tell(console: Console, assessment: Assessment, excitation: Excitation | str)
     table(console, words.PARAMETER_NAMES, list(words.parameter_rows(assessment)))
     say(console, words.TRUST)
     for line in words.own_lines(assessment):
-        say(console, f"Of its own: {line}")
+        say(console, f"Specific to {line}")
     for line in words.undetermined_lines(assessment):
         say(console, f"Not determined: {line}")
     table(console, words.error_names(assessment), list(words.error_rows(assessment)))

@@ -12,7 +12,7 @@ from numba.core.event import Event, Listener, install_listener
 
 from simbias.core import SlowWarning
 
-COMPILING = "Compiling the simulation for this machine; later starts take it from the cache ..."
+COMPILING = "Compiling the simulation for this machine; later runs load it from the cache ..."
 
 
 class _Announcer(Listener):

@@ -40,7 +40,7 @@ def preview(overrides: Sequence[str], config_dir: str | None, allow: Sequence[st
         with preparing():
             study = build(compose(overrides, config_dir, allow))
             rehearse(study)
-        say(console, "Searching the trial's first policy; no experiment is made ...")
+        say(console, "Searching for the trial's first policy; no experiment is run ...")
         prediction = first_prediction(study)
     bounds = study.conditions.safety.bounds(study.task)
     for line in describe(study, prediction, bounds):
@@ -80,15 +80,15 @@ def describe(study: Study, prediction: Prediction, bounds: Bounds) -> Iterator[s
         task.inputs, prediction.largest_change(task.time_step), bounds.input_rates, strict=True
     ):
         limited = f" (limit {limit:.4g})" if np.isfinite(limit) else ""
-        yield f"{quantity.name} changes by at most {change:.4g} {quantity.unit} in a second{limited}."
+        yield f"{quantity.name} changes by at most {change:.4g} {quantity.unit} per second{limited}."
     if not prediction.is_known:
-        yield "There is no model, so nothing is known of the states before the first experiment."
+        yield "There is no model, so the first experiment's states cannot be predicted."
         return
     if exceeded(expected, task, bounds):
         parts = (expected.part(max(frame - 1, 0), frame + 1) for frame in range(expected.frames))
         beyond_in = enumerate(exceeded(part, task, bounds) for part in parts)
         frame, beyond = next(each for each in beyond_in if each[1])
-        yield f"Predicted: aborted by hardware.safety after {frame * task.time_step:.2f} s, beyond {beyond}."
+        yield f"Predicted: hardware.safety aborts it after {frame * task.time_step:.2f} s: {beyond}."
     else:
         end = f", then fails: {task.words(expected.failure)}" if expected.failure else ""
         cost = f"cost {expected.cost:.4g} (Z_max {study.cost.max_cost:g})"

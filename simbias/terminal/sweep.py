@@ -112,7 +112,10 @@ class SweepConsole(SweepObserver):
         counts = f"{len(sweep.cells)} cells x {sweep.repetitions} trials = {self._total}"
         say(self._console, f"[bold]{escape(brief(sweep.name))}[/bold]: {counts}{resumed}", markup=True)
         if not self._keeps:
-            say(self._console, "No trial is kept (tracking=none): once interrupted, it starts again.")
+            say(
+                self._console,
+                "No trial is kept (tracking=none): an interrupted sweep cannot resume.",
+            )
         self._start = time.monotonic()
         if self._console.is_terminal:
             self._live = Live(get_renderable=self._view, console=self._console, refresh_per_second=2)
@@ -196,13 +199,16 @@ class SweepConsole(SweepObserver):
         for words, trials_with in sorted(kinds.items(), key=lambda item: (-item[1], item[0])):
             say(self._console, f"In {trials_with} of {counted(len(trials), 'trial')}: {words}.")
         if raised:
-            say(self._console, f"{counted(len(raised), 'trial')} raised an error; the same command resumes.")
+            say(
+                self._console,
+                f"{counted(len(raised), 'trial')} raised an error; the same command resumes it.",
+            )
         if self.waiting:
             trials_waiting = counted(self.waiting, "trial")
-            say(self._console, f"Hardware is awaited in {trials_waiting}; the same command resumes.")
+            say(self._console, f"Waiting for hardware: {trials_waiting}; the same command resumes the sweep.")
         if self.taken:
             trials_taken = counted(self.taken, "trial")
-            say(self._console, f"Another process runs {trials_taken}; the same command resumes.")
+            say(self._console, f"Another process is running {trials_taken}; the same command resumes it.")
         for name, caption, files in self._figures:
             if files:
                 shown = " ".join(map(str, files))
@@ -246,9 +252,9 @@ def dry_run(sweep: Sweep, finished: DataFrame, engine: Engine) -> None:
     print(plain(arrange(sweep, ["done"], lambda labels: [f"{ended[labels]}/{sweep.repetitions}"])))
     n_jobs = getattr(engine, "n_jobs", 1)
     seconds = seconds_left(sweep, finished, n_jobs)
-    how_long = "no trial has finished yet to estimate the rest"
+    how_long = "the remaining time cannot be estimated yet"
     if seconds is not None:
-        how_long = f"by their times the others may take {duration(seconds)} on {counted(n_jobs, 'job')}"
+        how_long = f"judging by these, the others may take {duration(seconds)} on {counted(n_jobs, 'job')}"
     print(f"{sweep.name}: {len(done)} of {len(sweep.trials)} trials are finished; {how_long}.")
 
 

@@ -222,7 +222,7 @@ class TrialConsole(Observer):
         colour = "green" if summary.outcome is Outcome.SUCCEEDED else "red"
         self._progress.update(self._bar, visible=False)
         why = f" {escape(brief(summary.reason))}" if summary.reason else ""
-        earlier = ", in an earlier run of this command; seed=N makes another trial" * replayed
+        earlier = ", in an earlier run of this command; seed=N starts another trial" * replayed
         verdict = f"[{colour}]{summary.outcome.verdict}[/{colour}] after {summary.effort}{earlier}.{why}"
         say(self._console, f"\n{verdict}", markup=True)
         for withdrawal in record.withdrawn:
@@ -231,7 +231,7 @@ class TrialConsole(Observer):
             say(self._console, finding)
         if record.unfinished:
             made = "  ".join(map(self._experiment_text, record.unfinished))
-            say(self._console, f"Experiments of an iteration that did not end: {made.strip()}.")
+            say(self._console, f"Experiments of an unfinished iteration: {made.strip()}.")
         if where:
             say(self._console, f"Look at it:  {where}")
 
@@ -243,7 +243,7 @@ def changed_since(study: Study, folder: Path) -> str:
     ):
         return ""
     what = "is shown as it was; its" if TrialFolder(folder).ended else "resumes, but its"
-    return f"the trial {what} code or files have changed since it began ({modules}); seed=N makes a new one"
+    return f"the trial {what} code or files have changed since it began ({modules}); seed=N starts a new one"
 
 
 def traceback_file(summary: TrialSummary, traceback: str) -> str:
@@ -255,4 +255,4 @@ def likelihoods_text(likelihoods: Mapping[str, float]) -> str:
     """The log-likelihoods of the model variants, and the variant used for the next search."""
     values = ", ".join(f"{name} {value:.1f}" for name, value in likelihoods.items())
     best = max(likelihoods, key=lambda name: likelihoods[name])
-    return f"held-out log-likelihood of {1000 * WINDOW:g} ms: {values}; goes on with {best}"
+    return f"held-out log-likelihood of {1000 * WINDOW:g} ms: {values}; continues with {best}"

@@ -255,7 +255,7 @@ def test_preview_shows_and_draws_the_first_experiment(
     out = capsys.readouterr().out
     assert "velocity" in out
     assert " 0.3  m/s" in out
-    assert re.search(r"aborted by hardware\.safety after 0\.\d\d s, beyond \|velocity\| of 0\.3", out)
+    assert re.search(r"hardware\.safety aborts it after 0\.\d\d s: \|velocity\| of 0\.3", out)
     assert f"Of {DRAWS} draws of start and model, 0 succeed, {DRAWS} are aborted by hardware.safety, 0" in out
     assert [path.name for path in folder.iterdir()] == ["preview.png"]
 
@@ -282,7 +282,7 @@ def test_a_policy_beyond_safety_limits_in_simulation_is_told_and_no_success(poin
     ]
     for each in (prediction, replace(prediction, expected=failing[0], draws=tuple(failing[1:]))):
         told = "\n".join(describe(study, each, safety.bounds(study.task)))  # before it fails
-        assert "Predicted: aborted by hardware.safety after 0.02 s, beyond a change of force by" in told
+        assert "Predicted: hardware.safety aborts it after 0.02 s: a change of force by" in told
         assert "cost" not in told
         assert "then fails" not in told
         assert "ABORTS" not in told
@@ -305,7 +305,7 @@ def test_a_preview_is_of_the_first_experiment_whatever_its_policy(preset: str) -
     assert len(prediction.draws) == 2
     told = "\n".join(describe(study, prediction, study.conditions.safety.bounds(study.task)))
     blind = "scratch" in preset  # the inputs are known, without a model nothing else is
-    assert ("There is no model, so nothing is known of the states before" in told) == blind
+    assert ("There is no model, so the first experiment's states" in told) == blind
     assert ("Predicted: " not in told and study.task.states[0].name not in told) == blind
     ideal = replace(study, method=Ideal(rollouts=1))
     expected = first_prediction(ideal).expected.parameters

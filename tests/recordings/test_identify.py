@@ -644,19 +644,19 @@ def test_the_command_tells_and_writes(
     with monkeypatch.context() as patched:
         patched.setattr(Assessment, "trusted", False)
         assert main([*arguments, "method.max_iterations=2", "--attach"]) == 1
-    assert "No trial is begun, as no parameter is trusted; " in capsys.readouterr().out
+    assert "No trial is started, as no parameter is trusted; " in capsys.readouterr().out
     assert list((folder / "trials").iterdir()) == [of_trial]
     write_csv(experiment(study.nominal, np.random.default_rng(0)), folder / "two.csv")
     files, overrides = arguments[:2], arguments[2:]
     assert main([*files, "--attach", "--held-out", "two.csv", *overrides]) == 1
     out = capsys.readouterr().out
     assert "Do not use it." in out
-    assert "Next: No trajectory is proposed (the identified model would predict it" in out
+    assert "Next: No trajectory is proposed (it would rely on the identified model" in out
     for wrong, said in (
         (["identify", "three.csv", *arguments[2:]], "three.csv: no such recording (.csv, .csv.gz, .mcap, "),
         ([*arguments, "--columns", "{angle: q}"], "columns: names what the task has not: angle\n"),
         ([*arguments, "--columns", "[angle]"], "--columns: must be a mapping of names"),
-        ([*arguments, "hardware.folder=lab", "--attach"], "hardware.folder: has no recording for --attach"),
+        ([*arguments, "hardware.folder=lab", "--attach"], "hardware.folder: has no recording to start a"),
     ):
         assert main(wrong) == 2
         assert capsys.readouterr().err.startswith(f"simbias: {said}")
@@ -688,7 +688,7 @@ def test_nothing_is_fitted_to_what_is_held_out(folder: Path, capsys: pytest.Capt
     with refused, pytest.warns(UserWarning, match=r"^one\.csv, two\.csv: held out, so not fitted to"):
         simbias.identify(["lab"], options, held_out=["lab"])
     assert main(["identify", "--recover", "lab", *options, "--held-out", "lab"]) == 2
-    assert capsys.readouterr().err == "simbias: --held-out: leaves no recording\n"
+    assert capsys.readouterr().err == "simbias: --held-out: holds out every recording\n"
 
 
 @pytest.mark.slow

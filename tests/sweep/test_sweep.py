@@ -169,13 +169,13 @@ def test_dry_run_runs_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) 
 
     cells, said = told()
     assert cells == ["0/2", "0/2"]
-    assert said == "smoke: 0 of 4 trials are finished; no trial has finished yet to estimate the rest."
+    assert said == "smoke: 0 of 4 trials are finished; the remaining time cannot be estimated yet."
     assert simbias.run_sweep([*SMOKE, "sweep.dry_run=true"]).empty
     assert not list(folder.iterdir())
     assert main([*SMOKE, "sweep.trials=1", NO_FIGURES]) == 0
     cells, said = told()
     assert cells == ["1/2", "1/2"]
-    assert said.startswith("smoke: 2 of 4 trials are finished; by their times the others may take ")
+    assert said.startswith("smoke: 2 of 4 trials are finished; judging by these, the others may take ")
     assert said.endswith(" on 2 jobs.")
     assert len(list(folder.glob("trials/*/trial.json"))) == 2
 

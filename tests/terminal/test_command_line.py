@@ -56,7 +56,7 @@ def test_a_trial_whose_output_is_closed_runs(folder: Path, monkeypatch: pytest.M
 def test_many_trials_are_no_multirun_of_hydras(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         parse(["-m", "seed=1,2"], "0")
-    assert "unrecognized arguments: -m; many trials are a sweep (+sweep=NAME)" in capsys.readouterr().err
+    assert "unrecognized arguments: -m; a sweep runs many trials (+sweep=NAME)" in capsys.readouterr().err
 
 
 def used() -> float:
@@ -83,7 +83,7 @@ def test_bad_input_exits_2_with_one_line(line: Any, tmp_path: Path) -> None:
     """Also a name that no system takes, and columns that are nested too deeply."""
     for arguments, said in (
         (["optimizer=unknown"], "optimizer=unknown"),
-        (["chekc"], "no such command: chekc; there are check, "),
+        (["chekc"], "no such command: chekc; available: check, "),
         (["report", "trials", "--cfg", "job"], "--cfg: report has no config to show"),
         (["preview", "method=ideal", "hardware=manual"], "method: searches on the hardware itself"),
         (["report", "x" * 5000], "File name too long"),

@@ -46,8 +46,8 @@ def test_a_name_that_does_not_do_is_bad_input(folder: Path, capsys: pytest.Captu
     for name, message in (
         ("my robot", "new: expected the name of a Python module"),
         ("class", "new: expected the name of a Python module"),
-        ("numpy", "new: a module of the name numpy is installed"),
-        ("taken", "taken: is there already"),
+        ("numpy", "new: a module named numpy is already installed"),
+        ("taken", "taken: already exists"),
     ):
         assert main(["new", name]) == BAD_INPUT
         assert capsys.readouterr().err.startswith(f"simbias: {message}")
