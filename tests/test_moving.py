@@ -114,7 +114,7 @@ def test_a_policy_that_does_not_swing_up_is_told_why(monkeypatch: pytest.MonkeyP
     missed = (
         "does not reach the goal in 5 s of simulation: in its last 1 s upright is 3.14 rad, not below 0.2"
     )
-    assert f"{missed}, its inputs at their limits in 0% of" in remark.words
+    assert f"{missed}; inputs are at their limits in 0% of" in remark.words
     *_, remark = of_prediction(study.policy.bounds[1], study.first_model(), study)
     assert "below which its regulator acts, is at its upper bound" in remark.words
     rooted = replace(study, cost=Declared(study.task, 1.0, 1.0, "sqrt(3 - angle)"))
@@ -132,7 +132,7 @@ def test_a_policy_that_does_not_swing_up_is_told_why(monkeypatch: pytest.MonkeyP
         states = np.zeros_like(rollout.states)
         states[:, 1] = np.linspace(np.pi, last, len(states))
         words += [remark.words for remark in of_goal(replace(rollout, states=states), study.task)]
-    assert ["coming nearer, so the horizon may be short" in each for each in words] == [False, True]
+    assert ["approaching, so the horizon may be too short" in each for each in words] == [False, True]
     balancing = simbias.load(["preset=cartpole", "tracking=none"])  # its cost says what success is
     still = np.zeros(balancing.policy.n_parameters)
     (remark,) = of_prediction(still, balancing.first_model(), balancing)
@@ -140,7 +140,7 @@ def test_a_policy_that_does_not_swing_up_is_told_why(monkeypatch: pytest.MonkeyP
     unlimited = property(lambda task: (-task.input_limit, np.full(1, np.inf)))
     monkeypatch.setattr(type(study.task), "input_bounds", unlimited)
     (remark,) = of_prediction(np.zeros(study.policy.n_parameters), study.first_model(), study)
-    assert "its inputs at their limits in 0% of" in remark.words
+    assert "inputs are at their limits in 0% of" in remark.words
     assert Task.missed(study.task, np.zeros((101, 4))) == (
         "at its end off by position 0 m, angle 0 rad, d_position 0 m/s, d_angle 0 rad/s"
     )

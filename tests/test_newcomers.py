@@ -155,7 +155,7 @@ def test_a_cost_that_is_no_number_names_its_class(point_mass: Study) -> None:
 @pytest.mark.slow
 def test_a_policy_that_is_tried_again_is_told_and_counted(point_mass: Study) -> None:
     text = shown(replace(point_mass, bias=NoBias(), method=Algorithm1(max_iterations=2)))
-    assert "this is the policy of iteration 0 again" in text
+    assert "this is again the policy of iteration 0" in text
     assert text.index("again") > text.index("\n  0 ")
 
     def kinds(study: Study) -> set[str]:
@@ -187,7 +187,7 @@ def test_an_iteration_without_samples_says_why(point_mass: Study) -> None:
 @pytest.mark.slow
 def test_a_model_is_cleared_with_the_reason_once(point_mass: Study) -> None:
     text = shown(replace(point_mass, cost=Always(2.0), method=Algorithm1(max_iterations=3)))
-    reason = "no policy of the corrected simulation costs less than Z_max = 1 (2 at best, of 40 simulated)"
+    reason = "no policy costs less than Z_max = 1 in the corrected simulation (best of 40: 2)"
     assert (text.count(f"model cleared: {reason}"), text.count("model cleared")) == (1, 4)
     same = "all 40 simulated policies cost the same (2), so this one is arbitrary"
     assert text.count(same) == 1

@@ -112,10 +112,7 @@ class SweepConsole(SweepObserver):
         counts = f"{len(sweep.cells)} cells x {sweep.repetitions} trials = {self._total}"
         say(self._console, f"[bold]{escape(brief(sweep.name))}[/bold]: {counts}{resumed}", markup=True)
         if not self._keeps:
-            say(
-                self._console,
-                "No trial is kept (tracking=none): an interrupted sweep cannot resume.",
-            )
+            say(self._console, "No trial is kept (tracking=none): an interrupted sweep cannot resume.")
         self._start = time.monotonic()
         if self._console.is_terminal:
             self._live = Live(get_renderable=self._view, console=self._console, refresh_per_second=2)
@@ -198,17 +195,16 @@ class SweepConsole(SweepObserver):
         kinds = Counter(kind for each in trials["hash"] for kind in self._diagnostics.get(each, ()))
         for words, trials_with in sorted(kinds.items(), key=lambda item: (-item[1], item[0])):
             say(self._console, f"In {trials_with} of {counted(len(trials), 'trial')}: {words}.")
+        resumes = "the same command resumes the sweep"
         if raised:
-            say(
-                self._console,
-                f"{counted(len(raised), 'trial')} raised an error; the same command resumes it.",
-            )
+            trials_raised = counted(len(raised), "trial")
+            say(self._console, f"{trials_raised} raised an error; {resumes}.")
         if self.waiting:
             trials_waiting = counted(self.waiting, "trial")
-            say(self._console, f"Waiting for hardware: {trials_waiting}; the same command resumes the sweep.")
+            say(self._console, f"Waiting for hardware: {trials_waiting}; {resumes}.")
         if self.taken:
             trials_taken = counted(self.taken, "trial")
-            say(self._console, f"Another process is running {trials_taken}; the same command resumes it.")
+            say(self._console, f"Another process is running {trials_taken}; {resumes}.")
         for name, caption, files in self._figures:
             if files:
                 shown = " ".join(map(str, files))

@@ -20,7 +20,7 @@ from simbias.lab.targets import WithTargets, beside
 from simbias.trial.replay import EndOfRecord, Record
 
 SOURCE = "study.tell"
-AGAIN = "simbias: %s: got the rollout of experiment %d again, though another start was asked for"
+AGAIN = "simbias: %s: got the rollout of experiment %d again, although this request has another start"
 
 
 class AskTell:
@@ -56,7 +56,7 @@ class AskTell:
     def tell(self, rollout: Rollout) -> None:
         """Take the rollout of the requested experiment; errors as for `Study.tell`."""
         if self._request is None:
-            raise ValueError("no experiment was asked for: ask() comes first")
+            raise ValueError("no experiment was asked for; call ask() first")
         request = self._request
         checked = check_rollout(rollout, SOURCE, self._task, request.bounds, request.start)
         check_rates(SOURCE, [checked], self._task, rates_of(self._task))

@@ -56,15 +56,15 @@ def of_policy(theta: Array, search: Search | None, earlier: Sequence[Iteration])
         yield Remark(
             "all simulated policies cost the same",
             f"all {optimum.evaluations} simulated policies cost the same ({optimum.cost:g}), so this one is "
-            f"arbitrary; does every simulation fail at once, or start at rest in an equilibrium?",
+            "arbitrary; does every simulation fail immediately, or start at rest in an equilibrium?",
         )
     within = SAME * np.abs(theta).max(initial=0.0)  # plans are recomputed, and differ in their last digits
     same = [each.index for each in earlier if np.allclose(each.parameters, theta, rtol=SAME, atol=within)]
     if same:
         yield Remark(
             "a refuted policy was tried again",
-            f"this is the policy of iteration {same[0]} again, which the hardware has refuted: what was "
-            "learned since has changed nothing",
+            f"this is again the policy of iteration {same[0]}, which did not succeed on the hardware; "
+            "learning has not changed it since",
         )
 
 
@@ -87,12 +87,12 @@ def of_goal(rollout: Rollout, task: Task) -> Iterator[Remark]:
     slack = np.nan_to_num(0.01 * (upper - lower), posinf=0.0)  # an input may have no limit
     full = np.mean(((rollout.inputs <= lower + slack) | (rollout.inputs >= upper - slack)).any(axis=1))
     coming = distances[-1] < NEARER * distances[: int(EARLIER * len(distances))].min(initial=np.inf)
-    late = "; it was still coming nearer, so the horizon may be short" if coming else ""
+    late = "; it was still approaching, so the horizon may be too short" if coming else ""
     missed = task.missed(rollout.states)
     yield Remark(
         "a policy does not reach the goal in simulation",
-        f"this policy does not reach the goal in {times[-1]:g} s of simulation: {missed}, "
-        f"its inputs at their limits in {full:.0%} of the frames{late}",
+        f"this policy does not reach the goal in {times[-1]:g} s of simulation: {missed}; "
+        f"inputs are at their limits in {full:.0%} of the frames{late}",
     )
 
 
@@ -120,7 +120,7 @@ def of_safety(theta: Array, start: Array, model: Model | None, study: Study) -> 
         yield Remark(
             "a policy goes beyond hardware.safety in simulation",
             f"this policy goes beyond hardware.safety in simulation: {beyond}; experiments are "
-            "aborted there, but searches do not know these limits",
+            "aborted there, but searches ignore these limits",
         )
 
 
@@ -145,8 +145,8 @@ def of_model(theta: Array, model: Model, cost: Cost) -> Iterator[Remark]:
         if any(fails(nominal.at(nominal.mode + side * aside)) for side in (-1.0, 1.0)):
             yield Remark(
                 "a policy stands on what the data do not determine",
-                f"this policy lasts in simulation, but not a standard deviation aside in {direction}, which "
-                "the experiments do not determine",
+                f"this policy lasts in simulation, but fails on a model one standard deviation away along "
+                f"{direction}, which the experiments do not determine",
             )
             return
 
@@ -160,8 +160,8 @@ def of_draws(rollout: Rollout, model: Model, study: Study) -> Iterator[Remark]:
     if model.bias.correction(x, rollout.inputs).any():
         yield Remark(
             "a residual is added to drawn models",
-            "the search draws nominal models and adds to each the residual of the one that is not drawn, so "
-            "that what differs counts twice: evaluation=robust, or identification=posterior",
+            "the search draws nominal models, but adds the residual of the undrawn one to each, so the "
+            "difference counts twice; choose evaluation=robust or identification=posterior",
         )
 
 
@@ -183,8 +183,8 @@ def of_prediction(theta: Array, model: Model | None, study: Study) -> Iterator[R
     if error > ROUGH:
         yield Remark(
             "a sparse Gaussian process is far from the exact one",
-            f"the sparse Gaussian process is up to {error:.1f} of the residuals' root mean square from the "
-            "exact one: learned hyper-parameters or more bias.inducing.points bring it nearer",
+            f"the sparse Gaussian process deviates from the exact one by up to {error:.1f} of the residuals' "
+            "root mean square; learn hyper-parameters or raise bias.inducing.points",
         )
 
 
@@ -199,8 +199,8 @@ def of_reset(iteration: Iteration, max_cost: float) -> Iterator[Remark]:
     if search is not None and iteration.learning is not None and iteration.learning.reset:
         yield Remark(
             "model cleared",
-            f"model cleared: no policy of the corrected simulation costs less than Z_max = {max_cost:g} "
-            f"({search.predicted_cost:.3g} at best, of {search.optimum.evaluations} simulated); is the task "
+            f"model cleared: no policy costs less than Z_max = {max_cost:g} in the corrected simulation "
+            f"(best of {search.optimum.evaluations}: {search.predicted_cost:.3g}); is the task "
             "possible within its limits and horizon?",
         )
 
@@ -211,7 +211,7 @@ def of_selection(selection: Selection) -> Iterator[Remark]:
         return
     if selection.sampled:
         rejected = ", ".join(f"{name} {count}" for name, count in selection.rejected.items() if count)
-        why = f"all {selection.sampled} were rejected: {rejected or 'nobody says why'}"
+        why = f"all {selection.sampled} were rejected: {rejected or 'no reason is given'}"
     else:
         why = selection.note or f"none of {selection.frames} frames was sampled"
     yield Remark("experiments without a sample to learn from", f"no samples to learn from: {why}")

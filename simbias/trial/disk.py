@@ -63,7 +63,7 @@ def is_locked(path: Path) -> bool:
 def require_file(path: Path) -> Path:
     """The path, if it is a file or missing; else a ConfigError, as a pipe or a device may never end."""
     if path.exists() and not path.is_file():
-        raise ConfigError(str(path), "is no file")
+        raise ConfigError(str(path), "is not a regular file")
     return path
 
 
@@ -85,7 +85,7 @@ def read_json(path: Path) -> dict[str, Any]:
     except (OSError, ValueError) as error:
         raise ConfigError(str(path), f"cannot be read ({words(error)})") from error
     if not isinstance(content, dict):
-        raise ConfigError(str(path), "has no mapping")
+        raise ConfigError(str(path), "does not hold a JSON object")
     return content
 
 
@@ -176,6 +176,6 @@ def _parsed(line: str, number: int, path: Path) -> dict[str, Any]:
         content = json.loads(line)
     except ValueError as error:
         if line.endswith("}"):
-            raise ConfigError(str(path), f"line {number} is damaged ({words(error)}). Mend it") from error
+            raise ConfigError(str(path), f"line {number} is damaged ({words(error)}). Repair it") from error
         return {}
     return content if isinstance(content, dict) else {}

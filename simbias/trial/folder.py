@@ -44,7 +44,7 @@ STEP = re.compile(rf"[0-9]{{4,}}_({'|'.join(map(re.escape, (SEARCH, EXPERIMENT, 
 AFTER = re.compile(r"outcome_([0-9]+)\.json")  # an outcome after this many withdrawals
 KINDS = {"started", "stopped", "withdrawn"}  # of lines in attempts.jsonl
 PICTURES = "pictures"
-REMEDY = "Run again, its trial makes it from the steps"  # the remedy for an unreadable outcome
+REMEDY = "Running its trial again recreates it from the steps"  # the remedy for an unreadable outcome
 LOCK_SECONDS = 5.0  # that a worker waits for the system to release the lock of a killed predecessor
 
 
@@ -86,7 +86,7 @@ class TrialFolder:
         """Raise a ConfigError if this is another trial's folder, or if `description` raises one."""
         found = self.description().get("hash")
         if found != identity:
-            problem = f"is the folder of trial {found}, and trial {identity} was asked for. Move it away"
+            problem = f"is the folder of trial {found}, not of trial {identity}. Move it away"
             raise ConfigError(str(self.path), problem)
 
     @property
@@ -125,7 +125,9 @@ class TrialFolder:
         lines = read_lines(self.path / ATTEMPTS)
         for line in lines:
             if not line.keys() & KINDS:
-                raise ConfigError(str(self.path / ATTEMPTS), f"has a line of {quote([*line])}. Mend it")
+                raise ConfigError(
+                    str(self.path / ATTEMPTS), f"has a line with unknown keys {quote([*line])}. Repair it"
+                )
         return lines
 
     @property
@@ -159,7 +161,7 @@ class TrialFolder:
         for outcome in filter(None, numbers):
             if int(outcome[1]) > len(found):
                 told = counted(len(found), "withdrawal")
-                raise ConfigError(str(file), f"tells of {told}, but there is {outcome[0]}. Put it back")
+                raise ConfigError(str(file), f"lists {told}, but {outcome[0]} exists. Restore the file")
         return found
 
     def numbered(self, name: str) -> Path:
@@ -217,13 +219,13 @@ def withdraw(experiment: Path, reason: str = "") -> Withdrawal:
     """
     folder = TrialFolder(experiment.parent)
     if not (folder.path / TRIAL).exists():
-        raise ConfigError(str(experiment), "is in no trial's folder")
+        raise ConfigError(str(experiment), "is not in a trial's folder")
     folder.description()  # needed to resume the trial
     with folder.held():
         counted = [file.name for file in folder.steps()]
         experiments = [name for name in counted if name.endswith((EXPERIMENT, EPISODE))]
         if experiment.name not in experiments:
-            problem = f"is no experiment that counts; these do: {', '.join(experiments) or 'none'}"
+            problem = f"is not an experiment that counts; those are: {', '.join(experiments) or 'none'}"
             raise ConfigError(str(experiment), problem)
         if source := loaded(experiment, load_rollout)[0].source:
             mark_withdrawn(Path(source), f"{experiment}: {reason}")

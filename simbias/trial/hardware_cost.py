@@ -20,7 +20,7 @@ SCREENING = 2  # rollouts; a policy that fails in all of them is not evaluated f
 def check_simulator(hardware: Hardware, key: str = "method") -> None:
     """Raise ConfigError on the key if the hardware is a person, a program or a recording."""
     if type(hardware).__module__.startswith("simbias.lab"):
-        problem = f"searches on the hardware itself, but {type(hardware).__name__} is no simulator"
+        problem = f"searches on the hardware itself, but {type(hardware).__name__} is not a simulator"
         raise ConfigError(key, problem)
 
 

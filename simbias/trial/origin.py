@@ -24,7 +24,7 @@ from simbias.core.platform import PACKAGE
 from simbias.trial.study import Study
 
 TOOLS = re.compile(r"extra == .(docs|test)\b")  # requirements that no trial needs
-IN_CLEAR = "simbias: %s: from the environment, and written in clear into %s, which MLflow shows too"
+IN_CLEAR = "simbias: %s: taken from the environment, and written in plain text to %s, which MLflow shows too"
 
 
 def description(study: Study) -> dict[str, Any]:

@@ -51,8 +51,8 @@ from simbias.trial.summary import TrialSummary, iteration_summary
 ERROR, REFUSED = "error_", "refused_"
 ROUNDING = 1e-6  # allowed difference of a computed policy, such as LQR, between platforms
 COMPARED = ("iteration", "total_experiments", "succeeded")  # between an iteration and its replay
-SHARED = "simbias: %s was asked for by another trial, before this one began; it counts in both"
-MIXED = "simbias: trial %s mixes platforms, so its last bits are of neither: %s; now %s"
+SHARED = "simbias: %s was made for another trial, before this one began; it counts in both"
+MIXED = "simbias: trial %s mixes platforms, so its last bits match neither: %s; now %s"
 
 
 class FolderRecord(Record):
@@ -249,8 +249,8 @@ class FolderRecord(Record):
         if summary is not None and summary.outcome.final:
             said, made = ((each.experiments, each.iterations) for each in (summary, replayed))
             if said != made:
-                problem = "has {} experiments and {} iterations, its steps {} and {}".format(*said, *made)
-                remedy = "Delete it; its trial, run again, makes it from the steps"
+                problem = "counts {} experiments and {} iterations, its steps {} and {}".format(*said, *made)
+                remedy = "Delete it: running its trial again recreates it from the steps"
                 raise ConfigError(str(self.folder.numbered(OUTCOME)), f"{problem}. {remedy}")
         return summary
 

@@ -30,7 +30,7 @@ from simbias.trial.replay import EndOfRecord
 from simbias.trial.study import Study
 from simbias.trial.summary import Outcome, TrialSummary
 
-ENDED = "simbias: trial %s ended without what this command asks for, such as a test; seed=N makes another"
+ENDED = "simbias: trial %s ended without what this command asks for, such as a test; seed=N starts another"
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,7 @@ class TrialRecord:
             If no iteration has ended.
         """
         if not self.iterations:
-            raise ConfigError("trial", "no iteration of it has ended, so it has no policy yet")
+            raise ConfigError("trial", "has no policy yet, as no iteration has ended")
         last, task, safety = self.iterations[-1], self.study.task, self.study.conditions.safety
         policy = self.study.designed_on(last.model).policy
         if safety.limits:

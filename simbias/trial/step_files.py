@@ -10,7 +10,7 @@ from simbias.core.errors import ConfigError
 from simbias.trial.disk import PART, write_whole
 from simbias.trial.folder import TRIAL, TrialFolder, number
 
-CHANGED = "was emptied, moved or changed while the trial ran. Put it back as it was; the same command resumes"
+CHANGED = "was emptied, moved or changed while the trial ran. Restore it; the same command resumes the trial"
 
 
 class StepFiles:

@@ -244,7 +244,7 @@ class Study:
         unasked = ExperimentConditions(safety=self.conditions.safety)
 
         def refuse(*_: Any) -> NoReturn:
-            raise ConfigError("method", "searches on hardware, which study.ask() leaves alone")
+            raise ConfigError("method", "searches on hardware, which study.ask() does not use")
 
         def run(record: Record, hardware: Hardware) -> Iterator[Iteration]:
             asked = replace(self, hardware=hardware, hardware_of=refuse, conditions=unasked).over(record)

@@ -25,7 +25,7 @@ NUMBERS = (  # numbers in every file
     *("ended", "seconds", "hardware_seconds"),
 )
 PARAMETERS = ("parameter", "declared", "identified", "5%", "95%", "unit")  # columns of a table of parameters
-IDENTIFIED = "The quantiles assume that the model lacks nothing: what it lacks may move parameters further."
+IDENTIFIED = "The quantiles assume a complete model: effects that it lacks may shift parameters further."
 
 
 class Outcome(StrEnum):

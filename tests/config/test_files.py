@@ -110,7 +110,7 @@ def test_a_pipe_in_place_of_a_config_is_named_where_it_is_asked_for(tmp_path: Pa
     for group, use in (("bias", "bias=mine"), ("sweeps", "+sweep=mine")):
         (tmp_path / group).mkdir()
         os.mkfifo(tmp_path / group / "mine.yaml")
-        with pytest.raises(ConfigError, match=r"mine(\.yaml: is no file|: no such option)"):
+        with pytest.raises(ConfigError, match=r"mine(\.yaml: is not a regular file|: no such option)"):
             compose([use], tmp_path)
     assert compose(["+sweep=smoke"], tmp_path)
 

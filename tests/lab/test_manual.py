@@ -206,9 +206,9 @@ def test_a_withdrawn_answer_is_taken_by_no_trial(
     (first,) = requests.iterdir()
     answer(first)
     assert run_trial(study, tmp_path / "first").summary.experiments == 1
-    assert "asked for by another trial" not in caplog.text
+    assert "made for another trial" not in caplog.text
     assert run_trial(study, tmp_path / "second").summary.experiments == 1
-    assert f"{first}/trajectory.csv was asked for by another trial" in caplog.text
+    assert f"{first}/trajectory.csv was made for another trial" in caplog.text
     withdraw(tmp_path / "first" / "0001_experiment.npz", "a loose cable")
     record = run_trial(study, tmp_path / "third")
     assert (record.outcome, record.summary.experiments) == (Outcome.WAITING, 0)

@@ -148,7 +148,7 @@ def test_a_trial_that_ended_and_was_damaged_is_no_success(line: Any, folder: Pat
     status, out, err = line(*own)
     assert (status, "in an earlier run" in out) == (0, False)
     assert f"simbias: {outcome.relative_to(folder)}: cannot be read" in err
-    assert "). Run again, its trial makes it from the steps\n" in err
+    assert "). Running its trial again recreates it from the steps\n" in err
     (outcome.parent / "0000_search.json").write_text("")
     status, out, err = line(*own)
     assert (status, "Succeeded" in out) == (2, False)

@@ -41,8 +41,8 @@ def test_it_is_told_and_the_direction_named(study: Study) -> None:
     (direction,) = undetermined(nominal)
     assert direction.weights == {"length": 1.0}
     assert said == [
-        "this policy lasts in simulation, but not a standard deviation aside in length, which "
-        "the experiments do not determine"
+        "this policy lasts in simulation, but fails on a model one standard deviation away along "
+        "length, which the experiments do not determine"
     ]
     model = study.model(None, nominal)
     (theta,) = lqr_policies(model, (INPUT_WEIGHTS[1],))
@@ -50,7 +50,7 @@ def test_it_is_told_and_the_direction_named(study: Study) -> None:
     kind = "a policy stands on what the data do not determine"
     assert kind in {remark.kind for remark in of_trial(made, study)}
     first, second = (iteration_summary(study, made[i], made[:i])["events"] for i in range(2))
-    assert any("not a standard deviation aside in length, which" in event for event in first)
+    assert any("one standard deviation away along length, which" in event for event in first)
     assert kind in second
 
 

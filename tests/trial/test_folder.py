@@ -382,7 +382,7 @@ def test_a_device_or_a_pipe_is_not_read_for_ever(short: Study, whole: Whole, tmp
         for kind in (os.mkfifo, lambda file: file.symlink_to("/dev/zero")):
             (folder / name).unlink()
             kind(folder / name)
-            with pytest.raises(ConfigError, match=rf"{re.escape(name)}: is no file"):
+            with pytest.raises(ConfigError, match=rf"{re.escape(name)}: is not a regular file"):
                 read_trial(short, folder)
 
 
@@ -469,7 +469,7 @@ def test_another_platform_is_said_and_kept(
         records = [run_trial(short, folder) for folder in (begun, unbegun)]
     (warning,) = [each.getMessage() for each in caplog.records]
     assert warning.endswith(
-        f"trial begun mixes platforms, so its last bits are of neither: {here}; now another"
+        f"trial begun mixes platforms, so its last bits match neither: {here}; now another"
     )
     assert [record.summary.platforms for record in records] == 2 * [(here, "another")]
 

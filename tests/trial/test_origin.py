@@ -46,7 +46,7 @@ def test_what_comes_from_the_environment_is_written_in_clear_with_a_line(
     for _ in range(2):
         run_trial(study, tmp_path / "trial")
     (warning,) = [each.getMessage() for each in caplog.records]
-    told = "simbias: hardware.command: from the environment, and written in clear into "
+    told = "simbias: hardware.command: taken from the environment, and written in plain text to "
     assert warning.startswith(f"{told}{tmp_path}")
     assert (tmp_path / "trial" / "trial.json").read_text().count("s3cret") == 1
 

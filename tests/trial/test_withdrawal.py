@@ -169,8 +169,8 @@ def test_a_withdrawal_that_is_damaged_or_gone_is_named(ended: Ended) -> None:
         right.replace(b'{"withdrawn"', b'["withdrawn"'): "line 2 is damaged",
         right.replace(b"withdrawn", b"withdrbwn"): r"has a line of \['withdrbwn'\]",
         right.replace(b"[", b"\xff"): "line 2 is damaged",
-        re.sub(rb"\], .*", b"", right): r"tells of 0 withdrawals, but there is outcome_1\.json",
-        b"": r"tells of 0 withdrawals, but there is outcome_1\.json",
+        re.sub(rb"\], .*", b"", right): r"lists 0 withdrawals, but outcome_1\.json exists",
+        b"": r"lists 0 withdrawals, but outcome_1\.json exists",
     }
     for damaged, words in damages.items():
         file.write_bytes(damaged)
@@ -191,10 +191,12 @@ def test_what_is_no_experiment_that_counts_is_one_line(
     _, _, folder = ended
     withdraw(folder / LOOSE)
     for name in ("0000_search.json", LOOSE, "0006_experiment.npz", "0099_experiment.npz", OUTCOME):
-        with pytest.raises(ConfigError, match="is no experiment that counts; these do: 0001_exp") as caught:
+        with pytest.raises(
+            ConfigError, match="is not an experiment that counts; those are: 0001_exp"
+        ) as caught:
             withdraw(folder / name)
         assert caught.value.key == str(folder / name)
-    with pytest.raises(ConfigError, match="is in no trial's folder"):
+    with pytest.raises(ConfigError, match="is not in a trial's folder"):
         withdraw(tmp_path / LOOSE)
     assert not (tmp_path / LOCK).exists()
     trial, right = folder / TRIAL, (folder / TRIAL).read_bytes()

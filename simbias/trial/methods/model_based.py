@@ -191,14 +191,14 @@ class ModelBased(Method):
             return
         theta, p = read_json(Path(self.first_policy)).get("parameters"), study.policy.n_parameters
         if not isinstance(theta, list) or [type(each) in (int, float) for each in theta] != p * [True]:
-            raise ConfigError("method.first_policy", f"{self.first_policy} has no `parameters`: {p} numbers")
+            raise ConfigError("method.first_policy", f"{self.first_policy} needs `parameters`: {p} numbers")
         yield np.array(theta, dtype=np.float64)
 
 
 def _check_random_inputs(task: Task) -> None:
     """Refuse a task whose inputs cannot be drawn at their limits and applied without feedback."""
     if task.targets:
-        raise ConfigError("method.random_experiments", "a task with targets can have none")
+        raise ConfigError("method.random_experiments", "must be 0 for a task with targets")
     for each, largest in zip(task.inputs, np.max(np.abs(task.input_bounds), axis=0).tolist(), strict=True):
         if largest == np.inf:
-            raise ConfigError("method.random_experiments", f"{each.name} has no limit")
+            raise ConfigError("method.random_experiments", f"need limits of all inputs; {each.name} has none")
