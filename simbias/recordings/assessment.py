@@ -141,7 +141,7 @@ def prepared(study: Study) -> Study:
     """
     study, posterior = study.without_targets, study.identification
     if not isinstance(posterior, Posterior):
-        does = "identification=posterior does, of the delays of its motors, too"
+        does = "identification=posterior does, and includes motor delays"
         raise ConfigError("identification", f"identifies no posterior; {does}")
     try:
         known = posterior.fit(study.nominal, [])
@@ -176,7 +176,7 @@ def assess(
     posterior = study.identification
     assert isinstance(posterior, Posterior)
     all_parts = parts(recordings)
-    kept = Part.of("what was held out", held_out) if held_out else None
+    kept = Part.of("held-out recordings", held_out) if held_out else None
     judged = [kept] if kept else all_parts
     _check_length(posterior, [*all_parts, kept] if kept else all_parts)
 

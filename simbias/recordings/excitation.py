@@ -30,10 +30,10 @@ FEWEST = 20  # frames of inputs: too few for rise, motion and fall
 RELATIVE_NOISE = 0.005  # of a state's range, without recordings
 REFERENCES, REFERENCE = 5, 5.0  # random trajectories for estimating states' ranges; s of each
 RANDOM, SEED = 0.6, 0  # share of random trajectories; the others vary the best
-LIMITS = "hardware.safety", "no inputs were found that keep these limits and the task's criteria"
+LIMITS = "hardware.safety", "no inputs were found that keep these limits and the task's failure criteria"
 CRITERIA = (
     "task",
-    "no inputs were found that keep its failure criteria: a robot that falls needs a controller",
+    "no inputs were found that avoid its failures: a robot that falls needs a controller",
 )
 
 
@@ -84,7 +84,7 @@ class Designer:
         self._bounds = study.conditions.safety.bounds(study.task)
         for each, limit in zip(study.task.inputs, self._bounds.inputs.tolist(), strict=True):
             if not np.isfinite(limit):
-                raise ConfigError("hardware.safety.inputs", f"{each.name} has no limit: name one here")
+                raise ConfigError("hardware.safety.inputs", f"{each.name} has no limit; set one here")
         self.noise = self._usual_noise() if noise is None else noise
 
     @threadpool_limits.wrap(limits=1, user_api="blas")  # small matrices, as in `assess`
@@ -98,10 +98,10 @@ class Designer:
         """
         window, task = self._posterior.window, self._study.task
         if task.frames(seconds) < FEWEST:
-            told = f"{task.time_step:g} s are too long for inputs of {seconds:g} s"
-            raise ConfigError("task.time_step", f"{told}: {FEWEST} frames at least")
+            told = f"{task.time_step:g} s is too long for inputs of {seconds:g} s"
+            raise ConfigError("task.time_step", f"{told}, which need at least {FEWEST} frames")
         if task.frames(seconds) < task.frames(window):
-            raise ConfigError("identification.window", f"{window:g} s are more than inputs of {seconds:g} s")
+            raise ConfigError("identification.window", f"{window:g} s is longer than inputs of {seconds:g} s")
         best: tuple[float, Array, Excitation] | None = None
         for index in range(trajectories):
             if best is None or index < RANDOM * trajectories:

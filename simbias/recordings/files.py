@@ -33,7 +33,7 @@ FIRST_LINE = "# What recordings say of the nominal model's parameters; a trial's
 DRAWS, MODELS, SEED = 100, 10, 0  # of the posterior: rows of a table, number of files
 EXCITATION, OWN = "excitation.csv", "recordings.csv"
 OPTIONAL = (EXCITATION, OWN, f"{OPTION}.xml", *(f"draw_{i}.xml" for i in range(MODELS)))  # not always written
-MECHANICS_ALONE = "<!-- Without motors and sensors: parameters.csv and draws.csv tell what they add. -->\n"
+MECHANICS_ALONE = "<!-- Without motors and sensors, which are in parameters.csv and draws.csv. -->\n"
 OF_RECORDINGS = f"<!-- {{}} at the prior's median: each recording has its own, in {OWN}. -->\n"
 
 

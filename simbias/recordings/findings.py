@@ -75,11 +75,11 @@ def findings(
         # The lower end of a half-normal is the declared value.
         tail = fitted.mode[i] if parameter.prior == "half_normal" else abs(fitted.mode[i])
         doubts = [
-            "each recording has its own" if elsewhere else _of_shrinkage(shrinkage),
+            "specific to each recording" if elsewhere else _of_shrinkage(shrinkage),
             "wider than its prior" if deviations[i] > BEYOND_PRIOR else "",
             f"only together with {', '.join(partners)}" if partners else "",
             "at its bound" if at_bound(parameter, estimate.value) else "",
-            "far from what was declared" if tail > TAIL else "",
+            "far from its declared value" if tail > TAIL else "",
             "recordings disagree" if disagree[i] else "",
             f"recordings disagree on {', '.join(shaken)}" if shaken and not disagree[i] else "",
             "depends on the window" if _moved(fitted, by_window, i) > DISAGREEMENT else "",
@@ -100,8 +100,8 @@ def at_bound(parameter: Parameter, value: float) -> bool:
 def _of_shrinkage(shrinkage: float) -> str:
     """The doubt about a parameter with this shrinkage; "" if there is none."""
     if shrinkage < UNKNOWN:
-        return "the data do not tell"
-    return "told in part" if shrinkage < DETERMINED else ""
+        return "not determined by the data"
+    return "partly determined" if shrinkage < DETERMINED else ""
 
 
 def _distance(fits: Sequence[Identified], i: int) -> float:

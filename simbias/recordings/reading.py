@@ -80,20 +80,20 @@ def read(
         except HardwareError as error:
             raise ConfigError("", words(error)) from error
         if (samples := _samples(recording.pieces)) in kept:
-            notes["held out, so not fitted to"].append(name)
+            notes["held out, so not fitted"].append(name)
             continue
         doubts |= dict.fromkeys(recording.doubts)
         for note in recording.notes:
             notes[note].append(name)
         if samples in seen:
-            notes["has the samples of another file, so it does not count again"].append(name)
+            notes["has the same samples as another file, so it does not count again"].append(name)
             continue
         seen.add(samples)
         pieces = _pieces(recording, needed)
         if needed and not pieces:
             raise ConfigError(str(file), f"is shorter than a window of {needed.window:g} s")
         if needed and (left := len(recording.pieces) - len(pieces)):
-            notes[f"{counted(left, 'piece')} of less than {needed.window:g} s left out"].append(name)
+            notes[f"{counted(left, 'piece')} shorter than {needed.window:g} s left out"].append(name)
         rollouts[name], times[name] = zip(*pieces, strict=True)
         extents.append(f"{name} {_extent(study.task, rollouts[name], times[name])}")
     told = tuple(f"{', '.join(names)}: {note}" for note, names in notes.items())
@@ -155,7 +155,7 @@ def columns(text: str) -> dict[str, str]:
     if not isinstance(found, dict) or not all(
         isinstance(each, str) for pair in found.items() for each in pair
     ):
-        raise ConfigError("--columns", "must be a mapping of names, as '{pos1: q1, vel1: dq1}'")
+        raise ConfigError("--columns", "must be a mapping of names, such as '{pos1: q1, vel1: dq1}'")
     return found
 
 
@@ -171,7 +171,7 @@ def _files(place: Path) -> list[Path]:
     if place.is_dir() and not bag:
         found = sorted(each for end in ENDS for each in place.glob(f"*{end}"))
     if not found:
-        raise ConfigError(str(place), f"is a folder without recordings of its own ({KINDS})")
+        raise ConfigError(str(place), f"is a folder that holds no recordings itself ({KINDS})")
     if not all(bag or file.is_file() for file in found):
         raise ConfigError(str(place), f"no such recording ({KINDS})")
     return found

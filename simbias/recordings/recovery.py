@@ -89,7 +89,7 @@ def recover(
         pairs = zip(own, findings(first, [], []), findings(fitted, [], []), strict=True)
         found.append([of_first if its_own else shared for its_own, of_first, shared in pairs])
     if not true:
-        raise ConfigError("", "no robot that was drawn lasts for a window without failing")
+        raise ConfigError("", "no drawn robot lasts for a window without failing")
     errors, spreads = np.abs(np.array(modes) - true), np.array(deviations)
     held = errors <= QUANTILE * spreads
     return [

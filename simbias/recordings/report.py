@@ -30,26 +30,30 @@ def _parts(assessment: Assessment, excitation: Excitation | str, notes: Sequence
         plots.parameters(assessment), "Prior, posterior and the estimate of each part, by parameter"
     )
     if own := list(words.own_lines(assessment)):
-        yield heading("What each recording has of its own")
+        yield heading("Parameters specific to each recording")
         yield items(own)
     yield heading("What the data do not determine")
     lines = list(words.undetermined_lines(assessment))
-    yield items(lines) if lines else paragraph("All directions of what recordings share are determined.")
-    yield heading("Errors of predictions that no model was fitted to")
+    yield (
+        items(lines)
+        if lines
+        else paragraph("The data determine all directions of the parameters that recordings share.")
+    )
+    yield heading("Prediction errors on data that were not fitted")
     yield table(words.error_names(assessment), words.error_rows(assessment))
     yield paragraph(words.about_errors(assessment))
     if outside := list(words.reach_lines(assessment)):
-        yield paragraph("Some predictions extrapolate beyond the data that their model was learned from:")
+        yield paragraph("Some predictions extrapolate beyond the data that their model was fitted to:")
         yield items(outside)
     yield picture(plots.errors(assessment), "Root mean square errors by horizon")
     if notes:
-        yield heading("What was done to the recordings")
+        yield heading("How the recordings were processed")
         yield items(notes)
     yield heading("What to record next")
     yield items(words.advice(assessment, excitation))
     yield heading("Predictions and measurements")
     yield paragraph(
-        "Each second, a prediction begins at the measured state, under the measured inputs. "
+        "Every second, a prediction starts at the measured state and follows the measured inputs. "
         f"Of the longest piece between gaps, at most the first {plots.DRAWN:g} s are shown."
     )
     for i, part in enumerate(assessment.judged[:MOST]):

@@ -28,34 +28,34 @@ NARROWER = 0.8  # ratio of deviations below which another window length is worth
 FAR_LARGER = 10.0  # times the explained errors: rare even without a spring or friction in the model
 OFTEN = 0.1  # share of states beyond failure criteria; recordings of failures end there
 WORTH = 0.1  # share by which an experiment must narrow a parameter for it to be named
-REMEDY = "measure what you can otherwise (masses by weighing or another load), and declare it"
+REMEDY = "measure what you can in other ways (masses by weighing or with another load), and declare it"
 SHORTER = "take a smaller nominal.sub_step or, in an MJCF, timestep"
-MEND = "errors are larger than the model explains, so mend the recordings or the model first"
+MEND = "errors are larger than the model explains; correct the recordings or the model first"
 TRUST = (
-    "Trust holds for motions like those recorded. To test it, hold out a faster or stronger one (--held-out)."
+    "Trust is for motions like those recorded. To test it, hold out a faster or stronger one (--held-out)."
 )
 
 
 def verdict(assessment: Assessment) -> str:
     """How well the model predicts held-out data, in a sentence."""
     ratios = assessment.ratios
-    apart = f" (each part by itself {min(ratios.values()):.2f} to {max(ratios.values()):.2f})"
+    apart = f" ({min(ratios.values()):.2f} to {max(ratios.values()):.2f} in single parts)"
     each = apart if len(ratios) > 1 else ""
-    what = "recordings that were held out" if assessment.held_out else "parts that it was not fitted to"
+    what = "held-out recordings" if assessment.held_out else "parts that it was not fitted to"
     wrong = _mistakes(assessment) + _units(assessment)
     if assessment.better:
         none = "" if assessment.trusted else " No parameter is trusted."
         worse = [f"after {one.seconds:g} s" for one in assessment.predictions if one.ratio() > 1.0]
         states = zip(assessment.task.states, by_state(assessment.predictions), strict=True)
         worse += [f"in {state.name}" for state, ratio in states if ratio > 1.0]
-        ahead = f" It errs more {', '.join(worse)}." if worse else ""
+        ahead = f" They are larger {', '.join(worse)}." if worse else ""
         return (
-            f"On {what}, the identified model errs {assessment.ratio:.2f} times as much as "
+            f"On {what}, the identified model's errors are {assessment.ratio:.2f} times those of "
             f"the nominal one{each}, {MEAN}.{ahead}{none}{_lacking(assessment)}{wrong}"
         )
     return (
-        f"The identified model is no better than the nominal one on {what}: it errs "
-        f"{assessment.ratio:.2f} times as much{each}, {MEAN}. Do not use it.{wrong}"
+        f"The identified model is no better than the nominal one on {what}: its errors are "
+        f"{assessment.ratio:.2f} times as large{each}, {MEAN}. Do not use it.{wrong}"
     )
 
 
@@ -66,7 +66,7 @@ def _lacking(assessment: Assessment) -> str:
     times, seconds = found
     return (
         f" Errors after {seconds:g} s are {times:.1f} times what measurement noise and intervals explain: "
-        "the model lacks something, and its values are those that predict best, which may not be the robot's."
+        "the model lacks something. Its values are those that predict best; they may not be the robot's."
     )
 
 
@@ -76,7 +76,7 @@ def _mistakes(assessment: Assessment) -> str:
     for words, times, recordings in assessment.mistakes:
         where = f" (in {', '.join(recordings)} alone)" if recordings else ""
         also = ", too," if said else ","
-        said += f" With {words}{where}{also} the nominal model errs {times:.2f} times as much"
+        said += f" With {words}{where}{also} the nominal model's errors are {times:.2f} times as large"
         said += ": check the recorded sign and column."
     return said
 
@@ -135,11 +135,11 @@ def error_rows(assessment: Assessment) -> Iterator[Sequence[str]]:
 def about_errors(assessment: Assessment) -> str:
     """How to read the rows of errors."""
     said = (
-        "Of states, a of b: root mean square errors of the identified model (a) and of the nominal one (b)."
+        "Under states, a of b: root mean square errors of the identified model (a) and the nominal one (b)."
     )
     own = [each.prior.name for each in assessment.findings if each.prior.of_recording]
     if own and (assessment.held_out or len(assessment.recordings) > 1):
-        said += f" Of {', '.join(own)} each recording has its own: here the prior's median takes its place."
+        said += f" Each recording has its own {', '.join(own)}; here, the prior's median is used."
     return said
 
 
@@ -147,7 +147,7 @@ def undetermined_lines(assessment: Assessment) -> Iterator[str]:
     """A line for each direction that the data do not determine."""
     for direction in assessment.undetermined:
         share = direction.deviation
-        wider = ": it is wider than its prior" if share > BEYOND_PRIOR else ""
+        wider = ": wider than its prior" if share > BEYOND_PRIOR else ""
         yield f"{direction} (keeps {100 * share:.0f}% of the prior's deviation{wider})"
 
 
@@ -156,7 +156,7 @@ def reach_lines(assessment: Assessment) -> Iterator[str]:
     for name, reaches in assessment.reaches.items():
         told = [
             f"{each.name} goes from {each.range[0]:.3g} to {each.range[1]:.3g} {each.unit}, but the model "
-            f"was learned from {each.learned[0]:.3g} to {each.learned[1]:.3g} "
+            f"was fitted to data from {each.learned[0]:.3g} to {each.learned[1]:.3g} "
             f"({100 * each.share:.0f}% of the frames are outside)"
             for each in reaches
         ]
@@ -189,8 +189,9 @@ def advice(assessment: Assessment, excitation: Excitation | str) -> Iterator[str
     if told:
         yield f"{seconds:g} s of the inputs in excitation.csv should narrow {', '.join(told)}."
     else:
-        yield f"No further {seconds:g} s within the limits should narrow a parameter by {100 * WORTH:.0f}%."
+        least = f"{100 * WORTH:.0f}%"
+        yield f"Another {seconds:g} s within the limits should narrow every parameter by less than {least}."
     left = [names[i] for i in np.flatnonzero(~own & ~worth & (excitation.deviations > 0.5))]
     if left:
         wrong = assessment.mistakes or assessment.unexplained is not None
-        yield f"No input should tell {', '.join(left)}: {MEND if wrong else REMEDY}."
+        yield f"No input should determine {', '.join(left)}: {MEND if wrong else REMEDY}."

@@ -137,7 +137,7 @@ def test_errors_that_noise_and_uncertainty_do_not_explain_are_told(assessment: A
     pairs = [zip(one.identified, one.nominal, strict=True) for one in assessment.predictions]
     mixed = [tuple(np.hstack([own[:, :-1], 1.1 * of[:, -1:]]) for own, of in pair) for pair in pairs]
     worse = [replace(one, identified=each) for one, each in zip(assessment.predictions, mixed, strict=True)]
-    assert f" It errs more in {assessment.task.states[-1].name}." in verdict(
+    assert f" They are larger in {assessment.task.states[-1].name}." in verdict(
         replace(assessment, predictions=worse)
     )
 
@@ -170,7 +170,7 @@ def test_signs_and_columns_that_are_mistaken_are_named(
     some = {"right": first, "brief": brief, "a": torque.of(first), "b": torque.of(others[0])}
     assert [each.recordings for each in mistakes(task, both[:1], some)] == [["a", "b"]]
     assert verdict(replace(assessment, mistakes=[Mistake(words, times, ["b.csv"])])).endswith(
-        f" With {words} (in b.csv alone), the nominal model errs {times:.2f} times as much: "
+        f" With {words} (in b.csv alone), the nominal model's errors are {times:.2f} times as large: "
         "check the recorded sign and column."
     )
     monkeypatch.setattr(
@@ -221,8 +221,8 @@ def test_what_is_advised_may_help(assessment: Assessment) -> None:
         Rollout(np.zeros((3, 4)), np.zeros((2, 2))), np.full(1 + len(others), 0.9), 0.0, np.zeros(4)
     )
     told = [" ".join(advice(replace(assessment, findings=[each, *others]), useless)) for each in (first, own)]
-    assert [each.count(f"No input should tell {first.prior.name}, ") for each in told] == [1, 0]
-    assert told[1].count(f"No input should tell {others[0].prior.name}, ") == 1
+    assert [each.count(f"No input should determine {first.prior.name}, ") for each in told] == [1, 0]
+    assert told[1].count(f"No input should determine {others[0].prior.name}, ") == 1
     narrowed = 0.8 * np.sqrt(assessment.identified.covariance[0, 0])
     assert narrowed > 0.5
     useful = replace(useless, deviations=np.array([narrowed, *useless.deviations[1:]]))
@@ -230,7 +230,7 @@ def test_what_is_advised_may_help(assessment: Assessment) -> None:
     assert best.endswith(f" should narrow {first.prior.name} (by 20% at most).")
     assert first.prior.name not in rest
     assert rest.endswith(
-        ": measure what you can otherwise (masses by weighing or another load), and declare it."
+        ": measure what you can in other ways (masses by weighing or with another load), and declare it."
     )
     stepped = replace(first, doubts=(STEP_DOUBT,))
     said = next(advice(replace(assessment, findings=[stepped, *others]), "none"))
@@ -244,7 +244,7 @@ def test_what_is_advised_may_help(assessment: Assessment) -> None:
     assert said[1] == "No trajectory is proposed (none)."
     with_own = replace(assessment, findings=[own, *others])
     told = [about_errors(each) for each in (assessment, with_own, replace(with_own, recordings=["one"]))]
-    assert [f"Of {first.prior.name} each recording has its own" in each for each in told] == [0, 1, 0]
+    assert [f"Each recording has its own {first.prior.name}" in each for each in told] == [0, 1, 0]
 
 
 @pytest.mark.slow
@@ -254,7 +254,7 @@ def test_a_model_that_is_no_better_says_so(study: Study) -> None:
     model, _ = truth(study.nominal, rng)
     found = assess(study, {"a": (experiment(model, rng),)}, {"b": (experiment(study.nominal, rng),)})
     assert not found.better
-    assert "no better than the nominal one on recordings that were held out" in verdict(found)
+    assert "no better than the nominal one on held-out recordings" in verdict(found)
     assert not any(finding.trusted for finding in found.findings)
 
 
@@ -519,15 +519,15 @@ def test_the_page_is_one_file_and_runs_nothing(assessment: Assessment) -> None:
     assert assessment.ratio < 0.5
     assert list(assessment.ratios) == ["one", "<script>two"]
     low, high = sorted(assessment.ratios.values())
-    said = f"times as much as the nominal one (each part by itself {low:.2f} to {high:.2f}), in the geo"
+    said = f"times those of the nominal one ({low:.2f} to {high:.2f} in single parts), in the geo"
     assert said in verdict(assessment)
-    doubted = [replace(each, doubts=("told in part",)) for each in assessment.findings]
+    doubted = [replace(each, doubts=("partly determined",)) for each in assessment.findings]
     assert verdict(replace(assessment, findings=doubted)) == f"{verdict(assessment)} No parameter is trusted."
     first, *rest = assessment.predictions
     worse = replace(
         assessment, predictions=[replace(first, nominal=first.identified, identified=first.nominal), *rest]
     )
-    assert f" It errs more after {first.seconds:g} s." in verdict(worse)
+    assert f" They are larger after {first.seconds:g} s." in verdict(worse)
     text = report(assessment, "none", ["one: vel2 is estimated from pos2"])
     assert "one: vel2 is estimated from pos2" in text
     assert "<script" not in text
@@ -537,7 +537,7 @@ def test_the_page_is_one_file_and_runs_nothing(assessment: Assessment) -> None:
     assert text.count("<img ") == 4
     assert text.count("the geometric mean over states and horizons") == 1
     assert "at most the first 5 s are shown" in text
-    assert "Trust holds for motions like those recorded." in text
+    assert "Trust is for motions like those recorded." in text
     assert "@media print" in text
 
 
@@ -575,11 +575,9 @@ def test_what_is_far_wider_than_the_prior_hides_nothing(assessment: Assessment) 
     fitted = assessment.identified
     scattered = fitted.with_spread(1.7 * np.eye(len(fitted.parameters)))
     (doubts,) = {each.doubts for each in findings(scattered, [], []) if "at its bound" not in each.doubts}
-    assert doubts == ("the data do not tell", "wider than its prior")
+    assert doubts == ("not determined by the data", "wider than its prior")
     wide = replace(assessment, identified=scattered)
-    assert "(keeps 170% of the prior's deviation: it is wider than its prior)" in next(
-        undetermined_lines(wide)
-    )
+    assert "(keeps 170% of the prior's deviation: wider than its prior)" in next(undetermined_lines(wide))
 
 
 def test_a_posterior_far_from_its_prior_is_shown_whole(assessment: Assessment) -> None:
@@ -631,7 +629,7 @@ def test_the_command_tells_and_writes(
     out = capsys.readouterr().out
     assert re.search(r"^friction_1 +N m .* yes$", out, re.MULTILINE)
     assert "Not determined: " in out
-    assert "On parts that it was not fitted to, the identified model errs 0." in out
+    assert "On parts that it was not fitted to, the identified model's errors are 0." in out
     assert "one.csv 2 s at 500 Hz\nfitting all recordings\n" in out
     assert "identification=identified  (identified/conf/identification/identified.yaml)\n" in out
     written = {path.name for path in (folder / "identified").rglob("*") if path.is_file()}
@@ -673,19 +671,19 @@ def test_nothing_is_fitted_to_what_is_held_out(folder: Path, capsys: pytest.Capt
     options = ["preset=double_pendulum", "identification=posterior", "tracking=none"]
     found, kept = read_apart(simbias.load(options), ["lab", "lab/../lab/one.csv"], [folder / "again.csv"])
     assert list(found.rollouts) == list(found.times) == ["one.csv"]
-    assert "two.csv: held out, so not fitted to" in found.notes
+    assert "two.csv: held out, so not fitted" in found.notes
     assert list(kept.rollouts) == ["again.csv"]
     still = next(note for note in read(simbias.load(options), ["lab"]).notes if "pos1 never changes" in note)
     assert still.startswith("one.csv, two.csv: ")  # once for both
     (folder / "copy.csv").write_bytes((folder / "lab" / "one.csv").read_bytes())
     found = read(simbias.load(options), ["lab", "copy.csv"])
     assert list(found.rollouts) == ["one.csv", "two.csv"]
-    assert "copy.csv: has the samples of another file, so it does not count again" in found.notes
+    assert "copy.csv: has the same samples as another file, so it does not count again" in found.notes
     found, _ = read_apart(simbias.load(options), ["lab"], ["copy.csv"])
     assert list(found.rollouts) == ["two.csv"]
-    assert "one.csv: held out, so not fitted to" in found.notes
+    assert "one.csv: held out, so not fitted" in found.notes
     refused = pytest.raises(ConfigError, match=r"^identify: needs recordings that are not held out: ")
-    with refused, pytest.warns(UserWarning, match=r"^one\.csv, two\.csv: held out, so not fitted to"):
+    with refused, pytest.warns(UserWarning, match=r"^one\.csv, two\.csv: held out, so not fitted"):
         simbias.identify(["lab"], options, held_out=["lab"])
     assert main(["identify", "--recover", "lab", *options, "--held-out", "lab"]) == 2
     assert capsys.readouterr().err == "simbias: --held-out: holds out every recording\n"
@@ -742,7 +740,7 @@ def test_short_pieces_are_left_out_and_short_files_refused(study: Study, folder:
     assert [piece.frames for piece in found.rollouts["cut.csv"]] == [149, 208]
     assert all(piece.continues for piece in found.rollouts["cut.csv"])  # after the one that is left out
     assert found.extent == "cut.csv 0.714 s at 500 Hz"
-    assert "cut.csv: 1 piece of less than 0.2 s left out" in found.notes
+    assert "cut.csv: 1 piece shorter than 0.2 s left out" in found.notes
     rows[:100].to_csv("cut.csv", index=False)
     with pytest.raises(ConfigError, match=r"^cut\.csv: is shorter than a window of 0\.2 s$"):
         read(study, ["cut.csv"], windows=2.0)

@@ -318,7 +318,7 @@ def test_a_copy_under_the_hash_of_another_trial_is_not_taken_for_it(
     other = simbias.load([*SHORT, "seed=9"])
     copies = shutil.copytree(whole[0], tmp_path / "ended"), cut(whole[0], tmp_path / "killed", 3)
     for folder in copies:
-        with one_line(rf"{folder.name}: is the folder of trial {short.hash}, and trial {other.hash} was"):
+        with one_line(rf"{folder.name}: is the folder of trial {short.hash}, not of trial {other.hash}\."):
             run_trial(other, folder)
 
 
@@ -350,7 +350,7 @@ def test_a_folder_that_is_changed_while_its_trial_runs_stops_it(
             left.extend(folder.iterdir())
 
     left: list[Path] = []
-    with one_line(rf"^{re.escape(str(folder))}: was emptied, moved or changed .* Put it back"):
+    with one_line(rf"^{re.escape(str(folder))}: was emptied, moved or changed .* Restore it"):
         run_trial(study, folder, Changing())
     assert log.count("made") == 1
     assert [*folder.glob("*")] == left

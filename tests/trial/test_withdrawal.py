@@ -212,9 +212,9 @@ def test_what_is_no_experiment_that_counts_is_one_line(
 def test_the_command_line_withdraws(ended: Ended, capsys: pytest.CaptureFixture[str]) -> None:
     _, _, folder = ended
     assert main(["withdraw", str(folder / LOOSE), "--reason", "a loose cable"]) == 0
-    assert f"{LOOSE} was withdrawn: a loose cable; 6 steps after it" in capsys.readouterr().out
+    assert f"{LOOSE} was withdrawn: a loose cable; 6 later steps" in capsys.readouterr().out
     assert main(["withdraw", str(folder / LOOSE)]) == 2
-    assert f"{LOOSE}: is no experiment that counts" in capsys.readouterr().err
+    assert f"{LOOSE}: is not an experiment that counts" in capsys.readouterr().err
 
 
 @pytest.mark.slow
