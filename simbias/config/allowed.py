@@ -38,8 +38,8 @@ def check_allowed(module: str, key: str, allowed: Sequence[str]) -> None:
         top = module.partition(".")[0]
         raise ConfigError(
             key,
-            f"{quote(module)} is not imported, as it is neither simbias's nor beside a folder of configs: "
-            f"name that folder by --config-dir or, if you trust the module, --allow {top}",
+            f"{quote(module)} is not imported: it is neither simbias's nor beside a folder of configs. "
+            f"Name that folder by --config-dir or, if you trust the module, add --allow {top}",
         )
 
 
@@ -77,7 +77,7 @@ def _of_file(file: Path) -> list[str]:
 def _module(name: Any, key: str) -> str:
     """A module's dotted name, checked."""
     if not isinstance(name, str) or not all(part.isidentifier() for part in name.split(".")):
-        raise ConfigError(key, f"must be the name of a module, as my_robot, got {quote(name)}")
+        raise ConfigError(key, f"must be the name of a module, such as my_robot, got {quote(name)}")
     return name
 
 

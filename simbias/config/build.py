@@ -59,7 +59,7 @@ def build(composition: Composition, groups: Collection[str] | None = None) -> St
     for key in config:
         if key not in contracts and key not in (*VALUES, *BESIDE_STUDIES):
             keys = [f"{key}.{each}" for each in config[key]] if isinstance(config[key], Mapping) else []
-            problem = f"no such group; there are {', '.join([*contracts, *BESIDE_STUDIES])}"
+            problem = f"no such group; available: {', '.join([*contracts, *BESIDE_STUDIES])}"
             raise unknown([*keys, key], key, problem)
     for key in (*contracts, "seed"):
         if key not in config:
@@ -99,7 +99,7 @@ def _check_known(study: Study, known: Any) -> None:
     """Refuse a posterior of a nominal model other than the study's."""
     if isinstance(known, Mapping) and known.get("model") not in (None, model_digest(study)):
         problem = (
-            "is of a nominal model with other values or files: identify again (or leave out its `model`)"
+            "belongs to a nominal model with other values or files; identify again, or leave out its `model`"
         )
         raise ConfigError("identification.known", problem)
 

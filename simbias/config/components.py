@@ -39,7 +39,7 @@ def construct(config: Any, contract: type, key: str, own: Own = NOTHING, **provi
     parameters = constructor_parameters(component)
     for name in provided:
         if name in config:
-            raise ConfigError(f"{key}.{name}", "is provided, not configured")
+            raise ConfigError(f"{key}.{name}", "is provided by simbias, so it cannot be set")
     arguments = constructor_arguments(component, config, key, frozenset(provided), own.folders)
     try:
         return component(**arguments, **{k: v for k, v in provided.items() if k in parameters})
@@ -87,7 +87,7 @@ def constructor_arguments(
     parameters = constructor_parameters(component)
     for parameter in parameters.values():
         if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
-            problem = f"{component.__name__}'s constructor takes {parameter}; its options have to be named"
+            problem = f"{component.__name__}'s constructor takes {parameter}; it must name its options"
             raise ConfigError(key, problem)
     given = {name: value for name, value in config.items() if name != TARGET}
     try:
@@ -184,9 +184,9 @@ def _in_one_line(error: ValidationError, key: str, known: Collection[str]) -> Co
     if first["type"] in TYPOS:
         hint = ""
         if ")" in where:  # `{value: max(a, b)}` of YAML is a key `value` and a key `b)`
-            hint = "; quotes keep an expression with commas together"
+            hint = "; put an expression with commas in quotes"
         elif near := get_close_matches(where.removeprefix(f"{key}."), known, 1, NEAR):
-            hint = f"; is it {near[0]}?"
+            hint = f"; did you mean {near[0]}?"
         elif where.count(".") == 1:  # for a component that replaced a preset's
             it, leaves = ("it", "leaves") if len(typos) == 1 else ("them", "leave")
             hint = f"; if a preset sets {it}, {' '.join(f'~{each}' for each in typos)} {leaves} {it} out"

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 JOBS = ("env", "help", "hydra_help", "hydra_logging", "job_logging", "launcher", "output", "sweeper")
 WITHOUT_JOBS = [f"hydra/{group}=[]" for group in JOBS]  # no jobs run here; saves a fourth of Hydra's time
 
-ONE_OPTION = "takes one option; of presets alone there may be several"
-HINTS = {"identification": "; a posterior knows delays, too: identification.motors={NAME: {delay: 0.01}}"}
-SEVERAL = "has several values: a list needs brackets, many trials are a sweep (+sweep=NAME)"
+ONE_OPTION = "takes one option; only preset takes several"
+HINTS = {"identification": "; a posterior has delays, too: identification.motors={NAME: {delay: 0.01}}"}
+SEVERAL = "has several values; put a list in brackets, or run many trials as a sweep (+sweep=NAME)"
 
 
 class Composed(NamedTuple):
@@ -164,10 +164,8 @@ def _in_one_line(error: Exception) -> ConfigError:
     lines = [line.strip().removesuffix(".") for line in str(error).splitlines() if "hydra.cc" not in line]
     if isinstance(error, OverrideParseException):
         said = "" if lines[0].startswith("Lexer") else f" ({lines[:2][-1]})"  # else it repeats the override
-        of_ours = "an expression is quoted, as in {x: 'sin(t)'}" if "Unknown function" in said else ""
-        return ConfigError(
-            error.override, f"cannot be parsed{said}; {of_ours or 'quotes keep a value together'}"
-        )
+        of_ours = "put an expression in quotes, as in {x: 'sin(t)'}" if "Unknown function" in said else ""
+        return ConfigError(error.override, f"cannot be parsed{said}; {of_ours or 'put the value in quotes'}")
     if isinstance(error, OmegaConfBaseException) and error.full_key:
         return ConfigError(error.full_key, lines[0])
     quoted = re.findall("'(.+?)'", lines[0])
@@ -182,11 +180,11 @@ def _no_such_key(key: str) -> ConfigError:
     if re.match(r"sweep\.axes(\.|$)", key) and not of_an_axis:
         axis = key[len("sweep.axes.") :] or "NAME"
         adds = f"'+sweep.axes={{{axis}: [...]}}' sets or adds an axis"
-        return ConfigError(key, f"no such key; {adds}, whose own keys are keys, values, labels and points")
+        return ConfigError(key, f"no such key; {adds}; an axis has keys, values, labels and points")
     if key.startswith("sweep."):
-        return unknown([key], key, f"no such key; +{key}=... if the sweep's file only leaves it out")
+        return unknown([key], key, f"no such key; +{key}=... sets one that the sweep's file leaves out")
     if key.startswith("hardware.noise."):
-        sets = "+hardware.noise.NAME_variance=... sets that of a quantity or kind that the robot has"
+        sets = "+hardware.noise.NAME_variance=... sets the variance of a quantity or kind of the robot"
         return unknown([key], key, f"no such key; {sets}")
-    left_out = f"; +{key}=... sets what the config leaves out" if "." in key else ""
-    return unknown([key], key, f"no such key; --cfg job shows them all, --help the groups{left_out}")
+    left_out = f"; +{key}=... sets one that the config leaves out" if "." in key else ""
+    return unknown([key], key, f"no such key; --cfg job shows all keys, --help the groups{left_out}")

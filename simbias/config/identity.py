@@ -137,4 +137,4 @@ def _plain(value: Any, key: str) -> Any:
     if isinstance(value, TOLD_BY_TEXT):
         return str(value)
     expected = "expected numbers, texts, times, paths, arrays, containers or dataclasses"
-    raise ConfigError(key, f"{expected}, of which a trial's identity is made, got {type(value).__name__}")
+    raise ConfigError(key, f"{expected}, which make up a trial's identity, got {type(value).__name__}")

@@ -150,7 +150,7 @@ def check_ends(file: Path) -> None:
     except Exception:  # YAML's or the system's
         return
     if values > MAX_VALUES:
-        raise ConfigError(str(file), f"its aliases stand for {values:.0e} values; write out what is needed")
+        raise ConfigError(str(file), f"its aliases expand to {values:.0e} values; write out what is needed")
 
 
 def check_no_primary(config_dir: Path) -> None:
@@ -158,5 +158,5 @@ def check_no_primary(config_dir: Path) -> None:
     primary = config_dir / PRIMARY
     if primary.exists() and config_dir.resolve() != resource_folder("conf").resolve():
         raise ConfigError(
-            str(primary), "is not read; what it chooses belongs in preset/NAME.yaml, chosen by preset=NAME"
+            str(primary), "is not read; move its choices to preset/NAME.yaml, and add preset=NAME"
         )

@@ -25,7 +25,7 @@ def packed(compositions: Iterable[Composition]) -> bytes:
     """
     files = {file: name for each in compositions for file, name in _needed(each)}
     if (size := sum(file.stat().st_size for file in files)) > MOST_BYTES:
-        problem = f"{size / 2**20:.0f} MiB are too much to send to workers; let them share the disk"
+        problem = f"{size / 2**20:.0f} MiB is too much to send to workers; let them share the disk"
         raise ConfigError("--config-dir", problem)
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, strict_timestamps=False) as archive:

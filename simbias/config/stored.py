@@ -14,8 +14,8 @@ from simbias.trial.folder import TRIAL, TrialFolder
 from simbias.trial.run import TrialRecord, read_trial
 
 OTHER_CONFIG = (
-    "its config is that of trial {}, not of {}: the file has been changed, or the trial is of another "
-    "version of simbias. Put the file back, or read the trial with that version"
+    "its config is that of trial {}, not of {}: the file has been changed, or another version of simbias "
+    "ran the trial. Restore the file, or read the trial with that version"
 )
 
 

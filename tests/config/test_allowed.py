@@ -94,7 +94,7 @@ def test_what_is_not_allowed_is_not_imported(project: Path, capsys: pytest.Captu
         assert not (project / "imported").exists()
         assert module == "os" or module not in sys.modules
     with pytest.raises(
-        ConfigError, match=r"bias\._target_: 'beside' is not imported, .*by --config-dir or, .*--allow beside"
+        ConfigError, match=r"bias\._target_: 'beside' is not imported: .*by --config-dir or, .*--allow beside"
     ):
         build(compose(["bias=none", "bias._target_=beside.Mine", "tracking=none"]))  # of no one's folder
 
@@ -147,7 +147,7 @@ def test_a_module_that_raises_is_one_line(project: Path) -> None:
         (CONSTRUCTOR.format("", CANCELLED.replace("\n", "; ")), r"late$"),
         ("from simbias.core import Bias\nclass Mine(Bias): ...", r"Can't instantiate abstract class Mine"),
         (UNKNOWN, r"the annotations of Mine's constructor cannot be read \(NameError: name 'Unknown' "),
-        (CONSTRUCTOR.format(", **more", "pass"), r"Mine's constructor takes \*\*more; its options have to"),
+        (CONSTRUCTOR.format(", **more", "pass"), r"Mine's constructor takes \*\*more; it must name its"),
     ):
         (project / "beside.py").write_text(text)
         sys.modules.pop("beside", None)

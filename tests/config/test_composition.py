@@ -27,8 +27,8 @@ BAD = {  # by override: its key, and what is said of it
     "++nominal.uncertainty.masses=true": ("nominal.uncertainty.masses", "must be a number, got true"),
     "bias.d=-1": ("bias.d", "must be greater than or equal to 0, got -1"),
     "cost.state_weights=[-1]": ("cost.state_weights.0", "must be greater than or equal to 0, got -1"),
-    "bias.dd=1": ("bias.dd", "no such key; --cfg job shows them all, --help the groups; +bias.dd=... sets "),
-    "+task.horizion=100": ("task.horizion", "no such key; is it horizon?"),
+    "bias.dd=1": ("bias.dd", "no such key; --cfg job shows all keys, --help the groups; +bias.dd=... sets "),
+    "+task.horizion=100": ("task.horizion", "no such key; did you mean horizon?"),
     "+bias.dd=1": ("bias.dd", "no such key; if a preset sets it, ~bias.dd leaves it out"),
     "++bias={dd: 1, ee: 2}": (
         "bias.dd",
@@ -40,12 +40,15 @@ BAD = {  # by override: its key, and what is said of it
     "nosuch=1": ("nosuch", "no such key"),
     "+nosuch=1": ("nosuch", "no such group"),
     "~bias": ("bias", "missing"),
-    "bias.d=[1": ("bias.d=[1", "cannot be parsed (no viable alternative at input '[1'); quotes keep"),
-    "+task.goal={x: log(t)}": ("+task.goal=", "an expression is quoted, as in {x: 'sin(t)'}"),
-    "bias=[gp,none]": ("bias", "takes one option; of presets alone there may be several"),
+    "bias.d=[1": (
+        "bias.d=[1",
+        "cannot be parsed (no viable alternative at input '[1'); put the value in quotes",
+    ),
+    "+task.goal={x: log(t)}": ("+task.goal=", "put an expression in quotes, as in {x: 'sin(t)'}"),
+    "bias=[gp,none]": ("bias", "takes one option; only preset takes several"),
     "identification=[delay,posterior]": ("identification", "identification.motors={NAME: {delay: 0.01}}"),
-    "bias=gp,none": ("bias=gp,none", "a list needs brackets, many trials are a sweep (+sweep=NAME)"),
-    "seed=range(1,3)": ("seed=range(1,3)", "a list needs brackets, many trials are a sweep (+sweep=NAME)"),
+    "bias=gp,none": ("bias=gp,none", "or run many trials as a sweep (+sweep=NAME)"),
+    "seed=range(1,3)": ("seed=range(1,3)", "or run many trials as a sweep (+sweep=NAME)"),
     "seed=???": ("seed", "Missing mandatory value"),
     "seed=${nosuch}": ("seed", "Interpolation key 'nosuch' not found"),
     "bias._target_=simbias.cost.quadratic.Quadratic": ("bias._target_", "is not a Bias"),
@@ -95,7 +98,7 @@ def test_a_whole_mapping_adds_its_keys(beside: list[str]) -> None:
         "position_variance": 0.2,
     }
     for key in ("hardware.nosuch", "engine.nosuch", "hydra.nosuch", "seed.x"):
-        with one_line(rf"^{key}: no such key; --cfg job shows them all"):
+        with one_line(rf"^{key}: no such key; --cfg job shows all keys"):
             compose([*base, f"{key}={{a: 1}}"])
 
 

@@ -96,7 +96,7 @@ def test_a_file_that_changes_is_read_again(tmp_path: Path) -> None:
 def test_a_file_whose_aliases_never_end_is_named(tmp_path: Path) -> None:
     for group, use in (("bias", "bias=mine"), ("sweeps", "+sweep=mine")):
         write(tmp_path, {f"{group}/mine.yaml": f"b0: &b0 [1]\n{ALIASES}"})
-        with pytest.raises(ConfigError, match=rf"{group}/mine\.yaml: its aliases stand for 8e\+10 values"):
+        with pytest.raises(ConfigError, match=rf"{group}/mine\.yaml: its aliases expand to 8e\+10 values"):
             compose([use], tmp_path)
         (tmp_path / group / "mine.yaml").write_text("b0: &b0 [1]\nb1: [*b0, *b0]")
         assert compose([use], tmp_path)

@@ -120,7 +120,7 @@ def test_bad_sweep() -> None:
     for message, overrides in {
         "sweep=unknown: no such option; sweep has ablation, ": ["+sweep=unknown"],
         "sweep.trials: must be greater than 0, got 0": ["+sweep=smoke", "sweep.trials=0"],
-        "sweep.trialss: no such key; +sweep.trialss=... if the sweep": ["+sweep=smoke", "sweep.trialss=1"],
+        "sweep.trialss: no such key; +sweep.trialss=... sets one that": ["+sweep=smoke", "sweep.trialss=1"],
         "sweep.trialss: no such key": ["+sweep=smoke", "+sweep.trialss=1"],
         "sweep.axes: must be a valid dictionary, got 3": ["+sweep=smoke", "sweep.axes=3"],
         "sweep.axes.nosuch.keys: nosuch: no such key": ["+sweep=smoke", "+sweep.axes.nosuch=[1]"],
@@ -149,10 +149,10 @@ def test_bad_sweep() -> None:
         "sweep.axes.bias.d: no such key; '+sweep.axes={bias.d: [...]}' sets or adds an axis": [
             "+sweep=smoke", "sweep.axes.bias.d=[1.0]"
         ],
-        "sweep.axes.x.labels: no such key; +sweep.axes.x.labels=... if the sweep": [
+        "sweep.axes.x.labels: no such key; +sweep.axes.x.labels=... sets one that": [
             "+sweep={trials: 1, axes: {x: {keys: bias.d, values: [1.0]}}}", "sweep.axes.x.labels=[a]"
         ],
-        "adds an axis, whose own keys are keys, values, labels and points": [
+        "adds an axis; an axis has keys, values, labels and points": [
             "+sweep={trials: 1, axes: {x: {keys: bias.d, values: [1.0]}}}", "sweep.axes.x.valus=[0.1]"
         ],
         "sweep.axes.x.keys: hardware.nosuch: no such key": [
