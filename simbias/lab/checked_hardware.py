@@ -237,7 +237,7 @@ class CheckedHardware(Hardware):
         except BaseException as error:
             return f"raised {with_type(error, MESSAGE_LENGTH)}"
         ended = experiment.ended(STOP_SECONDS)
-        return "was called, and it ended" if ended else "was called, but it still runs"
+        return f"was called, {'and the experiment ended' if ended else 'but the experiment still runs'}"
 
     @property
     def _name(self) -> str:

@@ -50,7 +50,7 @@ def check_rollout(
     if k > T:
         raise HardwareError(
             f"{source}: inputs: expected at most {T} frames of {task.time_step:g} s, got {k}; "
-            f"is its rate another?"
+            "does it run at another rate?"
         )
     if start is not None and not rollout.sensed:
         off = np.abs(wrapped(states[0] - start, task.states)) / start_tolerance(task)
@@ -58,9 +58,9 @@ def check_rollout(
             state, at = task.states[i := int(off.argmax())], start[i]
             raise HardwareError(
                 f"{source}: states: expected {state.name} to begin at {at:g} {state.unit}, within "
-                f"{START_DEVIATIONS:g} deviations of the task's starts, got {states[0, i]:g}; is it another "
-                f"unit? If these are what sensors told, the rollout is sensed=True; if it cannot begin where "
-                f"it is asked to, sets_start is False"
+                f"{START_DEVIATIONS:g} deviations of the task's starts, got {states[0, i]:g}; is the unit "
+                f"wrong? If sensors measured these states, give the rollout sensed=True; if the hardware "
+                f"cannot begin at the start that it is given, set sets_start to False"
             )
     failed_at, failure = _frame(rollout.failed_at, f"{source}: failed_at"), rollout.failure
     ends = np.flatnonzero(task.violated(states[1:]) >= 0)
@@ -71,7 +71,7 @@ def check_rollout(
         measured = None if measured is None else measured[: k + 1]
     if failed_at is None and k < T:
         raise HardwareError(
-            f"{source}: ended after {k} of {T} frames without a failure; failed_at and failure say of one"
+            f"{source}: ended after {k} of {T} frames without a failure; report one in failed_at and failure"
         )
     if failed_at not in (None, k):
         raise HardwareError(f"{source}: failed_at: expected {k}, the last frame, got {failed_at}")

@@ -40,8 +40,8 @@ def check_rates(source: str, pieces: Sequence[Rollout], task: Task, rates: Mappi
             ratio = float(told @ moved) / float(told @ told)
             if not 1 / TWICE < ratio < TWICE:
                 raise HardwareError(
-                    f"{source}: {names[position]} changes {ratio:.3g} times as fast as {names[i]} says: "
-                    f"is a unit wrong, or a column?"
+                    f"{source}: {names[position]} changes {ratio:.3g} times as fast as {names[i]} implies: "
+                    "is a unit or a column wrong?"
                 )
         elif (
             len(moved) >= LASTING / task.time_step
@@ -51,7 +51,7 @@ def check_rates(source: str, pieces: Sequence[Rollout], task: Task, rates: Mappi
             lags = range(task.frames(LATEST) + 1)
             if max(_agreement(*_delayed(changes, late, late)) for late in lags) < UNRELATED:
                 raise HardwareError(
-                    f"{source}: {names[position]} does not change as {names[i]} says: is it another column?"
+                    f"{source}: {names[position]} does not change as {names[i]} implies: is a column wrong?"
                 )
 
 

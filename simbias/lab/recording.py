@@ -82,7 +82,7 @@ class Reader:
             *self._beyond_limits(path, pieces),
             *self._still(pieces),
         ]
-        doubts = [*self._doubts(found, notes), *(["velocities follow their positions late"] if late else [])]
+        doubts = [*self._doubts(found, notes), *(["velocities lag behind their positions"] if late else [])]
         return Recording(pieces, times, (*file.notes, *notes), tuple(doubts))
 
     def _signals(self, file: Signals, notes: list[str]) -> dict[int, Signal]:
@@ -120,8 +120,8 @@ class Reader:
                 values = self._unwound(f"{file.path}: column {name}", quantity, Signal(times, values), notes)
             found[i] = Signal(times, values)
         if same[0] > SAME * same[1]:
-            told = f"{same[0]} of {same[1]} samples have the time of the one before"
-            notes.append(f"{told}; the first of each counts")
+            told = f"{same[0]} of {same[1]} samples have the same time as the previous one"
+            notes.append(f"{told}; only the first of each time counts")
         self._check_period(file, found, bool(time_unit or file.unit(time)))
         return found
 
@@ -137,7 +137,7 @@ class Reader:
         runs = np.split(values, begins)
         unwound = np.concatenate([np.unwrap(run, period=turn) for run in runs])
         if not np.array_equal(unwound, values):
-            notes.append(f"{angle.name} was wrapped")
+            notes.append(f"{angle.name} was wrapped, and is unwrapped")
         return unwound
 
     def _named(self, file: Signals, quantity: str) -> tuple[str, str]:
@@ -158,7 +158,7 @@ class Reader:
             pieces = [(max(a, c), min(b, d)) for a, b in pieces for c, d in runs if min(b, d) > max(a, c)]
         pieces = [(a, b) for a, b in pieces if b - a >= frame * (1 - 1e-9)]
         if not pieces:
-            problem = f"expected a frame of {frame:g} s at least, got {longest:.3g} s"
+            problem = f"expected at least one frame of {frame:g} s, got {longest:.3g} s"
             if longest >= frame:
                 problem = "its columns have no frame in common"
             raise HardwareError(f"{path}: {problem}")
@@ -177,7 +177,7 @@ class Reader:
         period = max(_period(found[i]) for i in found if i < len(self._task.states))
         if period > SPARSE * frame:
             doubt = f"states are measured every {period:.3g} s, in frames of {frame:g} s"
-            notes.append(f"{doubt}: take task.time_step={period:.2g}")
+            notes.append(f"{doubt}: set task.time_step={period:.2g}")
             yield doubt
 
     def _left_out(
@@ -203,7 +203,7 @@ class Reader:
         if usual > (RAREST_OF_UNIT if has_unit else RAREST) * frame:
             raise HardwareError(
                 f"{file.path}: expected samples about every {frame:g} s, got one every {usual:.3g} s: "
-                f"is it another unit of time?{'' if has_unit else ' Name it, as `time [ms]`'}"
+                f"is the time in another unit?{'' if has_unit else ' Name the unit, as in `time [ms]`'}"
             )
 
     def _jumps(self, found: Mapping[int, Signal], notes: list[str]) -> dict[int, Indices]:
@@ -219,7 +219,7 @@ class Reader:
             names = ", ".join(self._quantities[i].name for i, samples in each.items() if len(samples))
             when = ", ".join(f"{time:.6g} s" for time in at[:MOST_TOLD])
             when += f" and {len(at) - MOST_TOLD} other times" * (len(at) > MOST_TOLD)
-            notes.append(f"{names}: a jump at {when}, beyond what velocities say: are rows lost or doubled?")
+            notes.append(f"{names}: a jump at {when}, more than velocities imply: are rows lost or doubled?")
         return each
 
     def _begins(self, signal: Signal) -> Indices:
@@ -265,29 +265,29 @@ class Reader:
         """Notes on inputs beyond their limits; those far beyond are refused."""
         inputs, notes = np.abs(np.concatenate([piece.inputs for piece in pieces])), []
         for each, values, limit in zip(self._task.inputs, inputs.T, self._task.input_limit, strict=True):
-            told = f"of {each.name}, which is limited to {limit:g} {each.unit}"
+            told = f"{each.unit}, beyond the limit of {limit:g} {each.unit}"
             if (usual := np.quantile(values, MOSTLY)) > TWICE * limit:
                 column = f"{path}: column {self._columns[each.name]}"
                 raise HardwareError(
-                    f"{column}: got {usual:.3g} {each.unit} {told}: is a unit wrong, or a column?"
+                    f"{column}: {each.name} is often {usual:.3g} {told}: is a unit or a column wrong?"
                 )
             if (most := values.max()) > TOLERANCE * limit:
-                notes.append(f"up to {most:.3g} {each.unit}, the mean over a frame, {told}")
+                notes.append(f"{each.name} reaches {most:.3g} {told} (means over frames)")
         return notes
 
     def _late(self, delays: Mapping[int, float]) -> Iterator[str]:
         """Notes on rates with these delays in s."""
         for i, delay in delays.items():
             rate, position = (self._quantities[j].name for j in (i, self._rates[i]))
-            yield f"{rate} follows {position} by {1e3 * delay:.3g} ms; without its column, it is estimated"
+            yield f"{rate} lags {position} by {1e3 * delay:.3g} ms; without its column, it is estimated"
 
     def _still(self, pieces: Sequence[Rollout]) -> Iterator[str]:
         """Notes on quantities that never change, and what they cannot identify."""
         each = zip(*((*piece.states.T, *piece.inputs.T) for piece in pieces), strict=True)
         for i, (quantity, values) in enumerate(zip(self._quantities, each, strict=True)):
             if np.ptp(np.concatenate(values)) == 0:
-                of_motor = "its motor's gain is not told apart from an offset"
-                lacks = "nothing is learned of its motion" if i < len(self._task.states) else of_motor
+                of_motor = "its motor's gain cannot be told from an offset"
+                lacks = "nothing is learned about its motion" if i < len(self._task.states) else of_motor
                 yield f"{quantity.name} never changes, so {lacks}"
 
 

@@ -168,7 +168,8 @@ class Messages(Signals):
         """The field of each message of a topic."""
         match = FIELD.match(name)
         if match is None:
-            raise HardwareError(f"{self.path}: {name}: must be /topic.field, as /joint_states.position[0]")
+            wanted = "/topic.field, such as /joint_states.position[0]"
+            raise HardwareError(f"{self.path}: {name}: must be {wanted}")
         if match["topic"] not in self._topics:
             raise self.missing([match["topic"]], list(self._topics))
         times, messages = self._topics[topic := match["topic"]]
@@ -246,7 +247,7 @@ def checked_columns(columns: Mapping[str, str] | None, names: list[str]) -> dict
     """
     unknown = sorted(set(columns or {}) - set(names))
     if unknown:
-        raise ValueError(f"columns names what the task has not: {', '.join(unknown)}")
+        raise ValueError(f"columns names quantities that the task lacks: {', '.join(unknown)}")
     found = {name: (columns or {}).get(name, name) for name in names}
     by_column: dict[str, str] = {}
     for name, column in found.items():

@@ -35,7 +35,7 @@ def factor(unit: str, wanted: str) -> float:
         if given in kind and asked in kind:
             return kind[given] / kind[asked]
     known = [name for kind in KINDS if asked in kind for name in kind]
-    raise ValueError(f"cannot be in {unit}; {wanted} is wanted, from {', '.join(known) or 'the same'}")
+    raise ValueError(f"cannot be in {unit}; expected one of {', '.join(known) or wanted}")
 
 
 def _plain(unit: str) -> str:

@@ -49,8 +49,8 @@ LINES = {
     "ragged": "run: states: expected the shape (101, 2), got [[0.0], [0.0, 0.0], [0.0],",
     "too short": "run: states: expected the shape (99, 2), got (101, 2)",
     "nothing measured": "run: measured: expected the shape (101, 2), got (0, 6)",
-    "another rate": "run: inputs: expected at most 100 frames of 0.02 s, got 200; is its rate another?",
-    "ended early": "run: ended after 50 of 100 frames without a failure; failed_at and failure say of one",
+    "another rate": "run: inputs: expected at most 100 frames of 0.02 s, got 200; does it run at",
+    "ended early": "run: ended after 50 of 100 frames without a failure; report one in failed_at and failure",
     "NaN": "run: states: expected finite numbers, got [nan, ",
     "absurd": "run: states: expected numbers up to 1e+15, got [-1e+300, ",
     "elsewhere": "run: states: expected position to begin at 0.503456 m, within 20 dev",
@@ -211,10 +211,10 @@ def test_an_experiment_that_does_not_end_is_stopped_and_how_that_went_is_told(
         raise OSError("no answer")
 
     for name, stop, words in (
-        ("Deaf", lambda self: None, "was called, but it still runs"),
+        ("Deaf", lambda self: None, "was called, but the experiment still runs"),
         ("Broken", broken, "raised OSError: no answer"),
         ("Stuck", lambda self: end.wait(60.0), "did not end within 0.1 s either"),
-        ("Obeying", lambda self: end.set(), "was called, and it ended"),
+        ("Obeying", lambda self: end.set(), "was called, and the experiment ended"),
     ):
         hardware = type(name, (Doing,), {"stop": stop})(point_mass.hardware, wait)
         hanging = replace(point_mass, hardware=hardware, conditions=ExperimentConditions(0.1))

@@ -65,13 +65,13 @@ def test_a_trial_waits_for_a_person_and_resumes(folder: Path, capsys: pytest.Cap
     while status == WAITING:
         error = capsys.readouterr().err
         (asked,) = (each for each in Path("requests").iterdir() if not (each / "trajectory.csv").exists())
-        assert f"make the experiment of {asked}/README.txt, and put its trajectory.csv there" in error
+        assert f"run the experiment of {asked}/README.txt, and put its trajectory.csv there" in error
         assert f"({answered} hardware experiment{'s' * (answered != 1)} kept; " in error
         if answered == 1:
             (before,) = Path("requests").glob("*/trajectory.csv")
             shutil.copy(before, asked)
             assert main(command) == BAD_INPUT
-            copied = f"{asked}/trajectory.csv: is what answers another request, {before}"
+            copied = f"{asked}/trajectory.csv: is the answer to another request, {before}"
             assert copied in capsys.readouterr().err
             (asked / "trajectory.csv").write_text("time (s),position (m)\n0,0\n")
             assert main(command) == BAD_INPUT
@@ -180,7 +180,7 @@ def test_a_person_reads_start_limits_and_what_to_do(point_mass: Study, tmp_path:
     assert sorted(path.name for path in folder.iterdir()) == files
     text = (folder / "README.txt").read_text()
     for line in (
-        "position = 0.5 m (further than 0.2 from it is refused)",
+        "position = 0.5 m (starts further than 0.2 from it are refused)",
         "|velocity| <= 0.3 m/s",
         "|change of force| <= 5 N per s",
         "|force| <= 5 N",
@@ -217,7 +217,7 @@ def test_a_withdrawn_answer_is_taken_by_no_trial(
     assert run_trial(study, tmp_path / "third").summary.experiments == 1
     shutil.rmtree(requests)
     withdraw(tmp_path / "second" / "0001_experiment.npz")
-    assert f"{first}/trajectory.csv is not there, so it is not marked as withdrawn" in caplog.text
+    assert f"{first}/trajectory.csv does not exist, so it is not marked as withdrawn" in caplog.text
 
 
 @pytest.mark.slow

@@ -70,11 +70,11 @@ ANSWERS = {
     "print('hello')": r"expected one JSON object, got 'hello\n'",
     "print('[' * 100000)": "expected one JSON object, got '[[[",
     "sys.exit('the arm is not there')": "expected exit status 0, got 1: the arm is not there",
-    "os.kill(os.getpid(), 9)": "expected exit status 0, got 137: it says nothing",
+    "os.kill(os.getpid(), 9)": "expected exit status 0, got 137: it printed no message",
     "print(json.dumps(dict(states=states, inputs=inputs, cost=1)))": "cost: expected states, inputs",
     f"inputs = [['1_2']] * 101; {ANSWER}": "inputs: row 1: expected 1 finite number, got ['1_2']",
-    f"inputs = inputs[:50]; {ANSWER}": "expected as many rows of each, got 101",
-    f"states = inputs = []; {ANSWER}": "states: expected a row at least, got none",
+    f"inputs = inputs[:50]; {ANSWER}": "expected equally many rows of each, got 101",
+    f"states = inputs = []; {ANSWER}": "states: expected at least one row, got none",
     f"states[3] = [0.5]; {ANSWER}": "states: row 4: expected 2 finite numbers, got [0.5]",
     f"states[3] = [10**400, 0]; {ANSWER}": "states: row 4: expected 2 finite numbers, got [1000",
     f"states[3] = [float('nan'), 0]; {ANSWER}": "states: row 4: expected 2 finite numbers, got [nan, 0",
@@ -92,7 +92,7 @@ def test_what_is_no_trajectory_is_one_line(point_mass: Study, tmp_path: Path) ->
         assert expected in line
         assert line.startswith("Process "), text
         assert line.isprintable(), text
-    with pytest.raises(HardwareError, match="got 1: it says nothing"):
+    with pytest.raises(HardwareError, match="got 1: it printed no message"):
         run(point_mass, "false")  # it need not read its request
     for command in ("nosuchprogram", str(tmp_path)):
         with pytest.raises(HardwareError, match=r"^Process .*: expected exit .* 127: cannot be started \("):
@@ -263,7 +263,7 @@ def test_an_experiment_does_not_wait_for_ever_for_another_one(
     command = driving(tmp_path, 60)
     with simbias(command):
         wait_for(lambda: len(pids(tmp_path)) == 1)
-        with pytest.raises(HardwareError, match=r"still runs for another experiment \(process ") as caught:
+        with pytest.raises(HardwareError, match=r"still running for another experiment \(process ") as caught:
             run(point_mass, command, 0.1)
         holder = int(str(caught.value).partition("(process ")[2].partition(")")[0])
         assert runs(holder)
@@ -284,5 +284,5 @@ def test_a_robot_is_held_for_every_user_of_the_machine(
         with alone(["drive", "robot"], 0.1):
             (lock,) = tmp_path.iterdir()
             assert lock.stat().st_mode & 0o777 == 0o666
-            with pytest.raises(HardwareError, match="still runs"), alone(["drive", "robot"], 0.0):
+            with pytest.raises(HardwareError, match="still running"), alone(["drive", "robot"], 0.0):
                 pass

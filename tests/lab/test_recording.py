@@ -64,7 +64,7 @@ def test_factors_between_units() -> None:
     assert factor("mNm", "N m") == factor("ms", "s") == factor("msec", "s") == 1e-3
     assert factor("rad/sec", "rad/s") == factor("seconds", "s") == 1.0
     assert factor("anything", "anything") == 1.0
-    with pytest.raises(ValueError, match=r"cannot be in deg; rad/s is wanted, from rad/s, mrad/s, deg/s"):
+    with pytest.raises(ValueError, match=r"cannot be in deg; expected one of rad/s, mrad/s, deg/s"):
         factor("deg", "rad/s")
 
 
@@ -129,7 +129,7 @@ def test_states_that_are_measured_more_rarely_than_frames_are_doubted(
     table["pos2"] = table["pos2"].where(~others)
     recording, doubt = read(table), "states are measured every 0.004 s, in frames of 0.002 s"
     assert recording.doubts == ((doubt,) if every > 1 else ())
-    assert recording.notes == ((f"{doubt}: take task.time_step=0.004",) if every > 1 else ())
+    assert recording.notes == ((f"{doubt}: set task.time_step=0.004",) if every > 1 else ())
     table["tau1"] = table["tau1"].where(np.arange(len(table)) % 4 == 0)
     assert read(table).doubts == recording.doubts
 
@@ -176,10 +176,10 @@ def test_rows_that_are_lost_or_doubled_under_a_clock_that_goes_on_cut_it(
         found = read(rows)
         assert [piece.frames for piece in found.pieces] == [299, len(rows) - 301]
         assert found.notes[0].endswith(
-            "a jump at 0.6 s, beyond what velocities say: are rows lost or doubled?"
+            "a jump at 0.6 s, more than velocities imply: are rows lost or doubled?"
         )
     glitches = table.assign(pos1=table["pos1"] + (table.index % 100 == 50))
-    assert "0.7 s, 0.702 s and 12 other times, beyond what" in read(glitches).notes[0]
+    assert "0.7 s, 0.702 s and 12 other times, more than" in read(glitches).notes[0]
     late = table.assign(time=table["time"].where(table.index != 300, 0.6019))
     assert len(read(late).pieces) == 1
     table["pos1"], table["vel1"] = 0.01 * np.floor(5 * table["time"]), 0.05
@@ -206,7 +206,7 @@ def test_what_is_left_out_at_either_end_is_told(read: Read, table: pd.DataFrame)
 def test_rows_of_one_time_are_told(read: Read, table: pd.DataFrame) -> None:
     """As where a log rounds it; not a single one, nor rows of several rates."""
     found = read(table.assign(time=np.floor(table["time"] * 100 + 1e-6) / 100))
-    told = "800 of 1000 samples have the time of the one before; the first of each counts"
+    told = "800 of 1000 samples have the same time as the previous one; only the first of each time counts"
     assert told in found.notes
     assert read(pd.concat([table[:1], table])).notes == ()
     inputs = ["tau1", "tau2"]
@@ -221,7 +221,7 @@ def test_without_a_frame_that_all_columns_hold_it_is_refused(read: Read, table: 
         apart = pd.concat([table.drop(columns=columns), later[["time", *columns]]])
         with pytest.raises(HardwareError, match=r"one\.csv: its columns have no frame in common"):
             read(apart)
-    short = r"one\.csv: expected a frame of 0\.002 s at least, got 0\.001 s"
+    short = r"one\.csv: expected at least one frame of 0\.002 s, got 0\.001 s"
     for rows, words in (
         (table[:2].assign(time=[0.0, 0.001]), short),
         (table[:4].assign(time=[0.0, 0.001, 1.0, 1.001]), short),
@@ -247,9 +247,9 @@ def test_wrapped_angles_are_unwound(
     )
     found = read(table)
     np.testing.assert_allclose(found.pieces[0].states[:, 0], angle, atol=1e-9)
-    assert "pos1 was wrapped" in found.notes
-    assert "pos2 never changes, so nothing is learned of its motion" in found.notes
-    assert "tau1 never changes, so its motor's gain is not told apart from an offset" in found.notes
+    assert "pos1 was wrapped, and is unwrapped" in found.notes
+    assert "pos2 never changes, so nothing is learned about its motion" in found.notes
+    assert "tau1 never changes, so its motor's gain cannot be told from an offset" in found.notes
     rate = np.where(t < 1.0, 4.0, -1.0)
     later = table.assign(time=t + 9.0 * (t >= 1.0), pos1=rate * t, vel1=rate)
     np.testing.assert_allclose(read(later).pieces[1].states[:, 0], -t[500:], atol=1e-9)  # not across a gap
@@ -301,8 +301,8 @@ def test_a_late_velocity_is_told(read: Read, table: pd.DataFrame) -> None:
     short = read(table.drop(index=[*range(200, 300), *range(316, 400)]))
     assert short.notes == ("gaps, resets or jumps leave 3 pieces: 0.40 s, 0.03 s, 1.20 s",)
     late = read(table.assign(vel2=table["vel2"].shift(5)))
-    assert late.notes == ("vel2 follows pos2 by 10 ms; without its column, it is estimated",)
-    assert late.doubts == ("velocities follow their positions late",)
+    assert late.notes == ("vel2 lags pos2 by 10 ms; without its column, it is estimated",)
+    assert late.doubts == ("velocities lag behind their positions",)
 
 
 @pytest.mark.parametrize("late", [0.0, 0.5])
@@ -315,18 +315,18 @@ def test_a_velocity_that_is_late_by_half_a_frame_is_told(tmp_path: Path, late: f
     pd.DataFrame({"time": t} | noisy).to_csv(tmp_path / "one.csv", index=False)
     task = pendulum("task.time_step=0.01").task
     recording = Reader(task, {name: name for name in NAMES}).read(tmp_path / "one.csv")
-    assert recording.doubts == (("velocities follow their positions late",) if late else ())
-    told = re.findall(r"vel\d follows pos\d by (\S+) ms", " ".join(recording.notes))
+    assert recording.doubts == (("velocities lag behind their positions",) if late else ())
+    told = re.findall(r"vel\d lags pos\d by (\S+) ms", " ".join(recording.notes))
     assert [float(each) for each in told] == ([pytest.approx(5.0, rel=0.1)] if late else [])
 
 
 def test_another_column_in_place_of_a_velocity_is_refused(read: Read, table: pd.DataFrame) -> None:
     """Not one that is late, nor noise around rest."""
     swapped = table.assign(pos1=table["vel1"], vel1=table["pos1"])
-    with one_line(r"one\.csv: pos1 does not change as vel1 says: is it another column\?", HardwareError):
+    with one_line(r"one\.csv: pos1 does not change as vel1 implies: is a column wrong\?", HardwareError):
         read(swapped)
     late = read(table.assign(vel1=table["vel1"].shift(40, fill_value=0.0)))
-    assert late.notes == ("vel1 follows pos1 by 80 ms; without its column, it is estimated",)
+    assert late.notes == ("vel1 lags pos1 by 80 ms; without its column, it is estimated",)
     rest = np.random.default_rng(0).standard_normal((2, len(table)))
     assert read(table.assign(pos1=1e-3 * rest[0], vel1=0.1 * rest[1])).pieces
 
@@ -339,16 +339,16 @@ def test_what_cannot_be_meant_so_is_one_line(read: Read, table: pd.DataFrame) ->
         (table.assign(pos1=180 * table["pos1"] / np.pi), {}, r"pos1 changes 57\.3 times .*: is a unit wrong"),
         (table.assign(time=10 * table["time"]), {}, r"pos1 changes 0\.1 times as fast as vel1 says"),
         (table, {"pos1": "pos_1"}, r"row 1: expected a column pos_1, got none; did you mean pos1\?"),
-        (table, {"pos1": "pos1 [kg]"}, r"pos1: cannot be in kg; rad is wanted, from rad, mrad, deg"),
-        (table, {"time": "time [kg]"}, r"one\.csv: time: cannot be in kg; s is wanted"),
-        (in_nanoseconds, {}, r"one\.csv: .* every 2e\+06 s: is it another unit of time\?"),
+        (table, {"pos1": "pos1 [kg]"}, r"pos1: cannot be in kg; expected one of rad, mrad, deg"),
+        (table, {"time": "time [kg]"}, r"one\.csv: time: cannot be in kg; expected one of s"),
+        (in_nanoseconds, {}, r"one\.csv: .* every 2e\+06 s: is the time in another unit\?"),
         (
             table.assign(pos1=table["pos1"].where(table.index != 100, 1e6)),
             {},
             r"column pos1 jumps by 1e\+06 rad from 0\.198 s to 0\.2 s, more than a turn",
         ),
         (rare.assign(tau1=rare["tau1"][:1]), {}, r"column tau1: expected two samples at least, got 1"),
-        (without.assign(time=2.0 * table.index), {}, r"every 2 s: is it another unit of time\?"),  # ms
+        (without.assign(time=2.0 * table.index), {}, r"every 2 s: is the time in another unit\?"),  # ms
     ]
     for wrong, columns, words in cases:
         with one_line(words, HardwareError) as error:
@@ -366,9 +366,9 @@ def test_inputs_beyond_their_limits_are_told_or_refused(
     scale = study.task.input_limit[0] / table["tau1"].abs().max()
     assert not any("limited" in note for note in read(table).notes)
     found = read(table.assign(tau1=1.2 * scale * table["tau1"]))
-    said = r"up to \S+ N m, the mean over a frame, of tau1, which is limited to \S+ N m"
+    said = r"tau1 reaches \S+ N m, beyond the limit of \S+ N m \(means over frames\)"
     assert any(re.fullmatch(said, note) for note in found.notes)
-    with one_line(r"one\.csv: column I1: got \S+ N m of tau1, which is limited to", HardwareError):
+    with one_line(r"one\.csv: column I1: tau1 is often \S+ N m, beyond the limit of", HardwareError):
         read(table.assign(I1=1e3 * table["tau1"]).drop(columns="tau1"), tau1="I1")
 
 
@@ -519,7 +519,7 @@ def test_what_cannot_be_read_is_told(study: Study, read: Read, tmp_path: Path) -
         read("time,pos1\n0,1\n")
     with pytest.raises(HardwareError, match=r"one\.csv: row 3, column pos2: expected a finite number"):
         read(f"{','.join(NAMES)}\n0,0,0,0,0,0,0\n0.01,0,1_2,0,0,0,0\n")
-    with pytest.raises(ValueError, match="columns names what the task has not: angle"):
+    with pytest.raises(ValueError, match="columns names quantities that the task lacks: angle"):
         Recorded(study.task, str(tmp_path), columns={"angle": "q"})
 
 

@@ -226,7 +226,7 @@ def test_what_is_wrong_is_told_and_the_question_stays_open(
         replace(answers[0][0], theta=request.theta + 1.0),
         answers[0][1],
     )  # as if it was of another policy
-    with pytest.raises(HardwareError, match=r"^study\.tell: is what answers another request, that of exper"):
+    with pytest.raises(HardwareError, match=r"^study\.tell: is the answer to another request, that of exper"):
         point_mass.tell(whole)
     assert point_mass.ask() is request
     answers[0] = replace(answers[0][0], theta=request.theta), answers[0][1]  # a robot without noise

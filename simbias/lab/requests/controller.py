@@ -25,15 +25,15 @@ HEADER = """\
  * Call simbias_start before an experiment, then simbias_control once a frame, every {time_step!r} s.
  *   x: {states}
  *   u: {inputs}
- * It returns 0, or 1 if a limit is exceeded or something is no number. Then u is zero, controller->failure
- * names the limit, and it returns 1 until simbias_start is called again: abort the experiment.
+ * It returns 0, or 1 if a limit is exceeded or a value is not a number: then abort the experiment. u is zero,
+ * controller->failure names the limit, and it returns 1 until simbias_start is called again.
  */
 #ifndef SIMBIAS_CONTROLLER_H
 #define SIMBIAS_CONTROLLER_H
 #include <math.h>
 
 #if defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__
-#error "without -ffast-math, please: it does not see what is no number"
+#error "compile without -ffast-math, which cannot detect what is not a number"
 #endif
 
 #define SIMBIAS_TIME_STEP {time_step!r} /* s */
@@ -41,7 +41,7 @@ HEADER = """\
 typedef struct {{
     long frame;
     const char *failure; /* the limit that ended the experiment; 0 as long as there is none */
-    double u[{m}]; /* in the frame before */
+    double u[{m}]; /* in the previous frame */
 {state_field}}} simbias_controller;
 
 static inline void simbias_start(simbias_controller *controller)
@@ -103,8 +103,8 @@ MODULE = '''\
 Make a Controller for each experiment, and call it once a frame, every {time_step!r} s: u = controller(x).
   x: {states}
   u: {inputs}
-It raises ValueError if a limit is exceeded or something is no number, and ever after: abort the experiment.
-Its `failure` names the limit then.
+It raises ValueError if a limit is exceeded or a value is not a number, and in every later call: then abort
+the experiment. Its `failure` names the limit.
 """
 
 import numpy as np

@@ -19,7 +19,7 @@ from simbias.lab.requests.trajectory import template
 TRAJECTORY = "trajectory.csv"  # the answer to a request
 WITHDRAWN = "withdrawn.txt"  # marks that no trial accepts the answer beside it any more
 POLICY, TEMPLATE, README = "policy.json", "template.csv", "README.txt"
-GONE = "simbias: %s is not there, so it is not marked as withdrawn"
+GONE = "simbias: %s does not exist, so it is not marked as withdrawn"
 
 TEXT = """\
 Run the policy for {duration:g} s ({frames} frames at {rate:g} Hz) from
@@ -27,13 +27,13 @@ Run the policy for {duration:g} s ({frames} frames at {rate:g} Hz) from
 Stop at once if
 {failures}
 
-Then save what was measured as {trajectory} in this folder, with the columns of {template}: a row for each
+Then save the measurements as {trajectory} in this folder, with the columns of {template}: a row for each
 frame, {rows} in all, the first at the start. An input is what was commanded from that time on; in the last
-row it may be empty. Rows may be more frequent, not rarer. If the robot failed, end the file with that row; if
-none of the limits above tells how, name it in that row's column `failure`. If the controller aborted, end the
-file with the row in which it did, and write there the name that it gives, {names}.
-Columns are separated by commas, and numbers have decimal points; or columns by semicolons, and numbers have
-decimal commas or points.
+row it may be empty. Rows may be more frequent, but not rarer. If the robot failed, end the file with that
+row; if none of the limits above describes the failure, name it in that row's column `failure`. If the
+controller aborted, end the file with the row in which it did, and write there the name that it gives,
+{names}.
+Separate columns by commas, with decimal points in numbers; or by semicolons, with decimal commas or points.
 
 Start the same command again: it resumes with the file, or says in one line what is wrong with it.
 
@@ -48,7 +48,7 @@ CODE = (
 )
 NO_CODE = (
     "This policy cannot be written out as code ({why}). Its parameters are in "
-    f"{POLICY}. It runs in Python only, by a hardware class of your own in place of hardware=manual."
+    f"{POLICY}. It runs only in Python, in a hardware class of your own in place of hardware=manual."
 )
 
 
@@ -151,7 +151,7 @@ def _readme(request: ExperimentRequest) -> str:
         rows=task.horizon + 1,
         rate=1 / task.time_step,
         start=_indented(f"{q.name} = {x:g} {q.unit}{_within(d)}" for q, x, d in start) + targets,
-        names=f"as unsafe_rate_of_{task.inputs[0].name}",
+        names=f"such as unsafe_rate_of_{task.inputs[0].name}",
         failures=_indented(failures or ["continuing is not safe"]),
         trajectory=TRAJECTORY,
         template=TEMPLATE,
@@ -167,7 +167,7 @@ def _readme(request: ExperimentRequest) -> str:
 
 def _within(tolerance: float) -> str:
     """The tolerance of a start in words."""
-    return f" (further than {tolerance:g} from it is refused)" if np.isfinite(tolerance) else ""
+    return f" (starts further than {tolerance:g} from it are refused)" if np.isfinite(tolerance) else ""
 
 
 def _indented(lines: Iterable[str]) -> str:

@@ -54,7 +54,7 @@ class Manual(Hardware):
             ) from error
         file = folder / TRAJECTORY
         if not file.exists():
-            raise Waiting(f"make the experiment of {folder / README}, and put its {TRAJECTORY} there")
+            raise Waiting(f"run the experiment of {folder / README}, and put its {TRAJECTORY} there")
         try:
             refuse_copied_file(file)
             return replace(read(file, request), source=str(file.resolve()))

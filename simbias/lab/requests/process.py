@@ -104,7 +104,7 @@ class Process(Hardware):
             limit = f"{self._timeout:g} s (its own duration and hardware.timeout)"
             raise HardwareError(f"expected an answer within {limit}, got none")
         if status:
-            last = brief(said[-SAID:]) or "it says nothing"
+            last = brief(said[-SAID:]) or "it printed no message"
             raise HardwareError(f"expected exit status 0, got {status}: {last}")
         sys.stderr.write(said)
         try:
@@ -121,7 +121,7 @@ class Process(Hardware):
             raise HardwareError(f"expected an object with states and inputs, got {quote(answer)}")
         unknown = sorted(set(map(str, answer)) - set(FIELDS))
         if unknown:
-            raise HardwareError(f"{', '.join(unknown)}: expected {', '.join(FIELDS)} alone")
+            raise HardwareError(f"{', '.join(unknown)}: expected only {', '.join(FIELDS)}")
         states = _rows(answer["states"], "states", len(self._task.states))
         inputs = _rows(answer["inputs"], "inputs", len(self._task.inputs))
         if len(inputs) == len(states) - 1:
@@ -131,10 +131,10 @@ class Process(Hardware):
             rows = [[time] for time in given] if isinstance(given, list) else given
             times = _rows(rows, "times", 1)[:, 0]
         if not len(states):
-            raise HardwareError("states: expected a row at least, got none")
+            raise HardwareError("states: expected at least one row, got none")
         if not len(states) == len(inputs) == len(times):
             raise HardwareError(
-                f"expected as many rows of each, got {len(states)} states, {len(inputs)} inputs and "
+                f"expected equally many rows of each, got {len(states)} states, {len(inputs)} inputs and "
                 f"{len(times)} times"
             )
         failure = answer.get("failure")

@@ -123,7 +123,8 @@ def alone(command: Sequence[str], seconds: float) -> Iterator[IO[str] | None]:
                 break
             except BlockingIOError:
                 file.seek(0)
-                holder = f"it still runs for another experiment (process {file.read().strip() or 'unknown'})"
+                process = file.read().strip() or "unknown"
+                holder = f"it is still running for another experiment (process {process})"
             if time.monotonic() >= until:
                 raise HardwareError(
                     f"{holder}, after {seconds:g} s; end it, or set hardware.exclusive=false for a simulator"

@@ -146,7 +146,7 @@ def refuse_copy(source: str, asked: Mapping[str, Any], other: str, content: Mapp
         If so; the message names the other one in one line.
     """
     if content != asked:
-        raise HardwareError(f"{source}: is what answers another request, {other}")
+        raise HardwareError(f"{source}: is the answer to another request, {other}")
 
 
 def _named(quantities: Sequence[Quantity]) -> list[dict[str, Any]]:

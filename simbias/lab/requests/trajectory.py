@@ -24,8 +24,8 @@ TIME, FAILURE = Quantity("time", "s"), "failure"  # columns in addition to state
 NO_FAILURE = {"", "-", "none", "nan", "na", "n/a", "null", "no", "ok"}  # how tools denote no failure
 STILL = "simbias: %s: %s stands still while %s does not: is a sensor dead?"
 OTHER = (
-    "simbias: %s: %s is not as the requested policy commands in these states: is it another experiment, or "
-    "late?"
+    "simbias: %s: %s differs from what the requested policy commands in these states: is it of another "
+    "experiment, or late?"
 )
 UNLIKE = 0.7  # of the root mean square of commands: larger differences suggest another policy
 LASTS = 0.5  # autocorrelation above which a difference is not noise
@@ -110,7 +110,7 @@ def _failure(table: Table) -> str | None:
             )
         named = "" if cell.lower() in NO_FAILURE else cell
         if named and index < last:
-            raise table.error(index, column, f"expected it in the last row alone, got {quote(cell)}")
+            raise table.error(index, column, f"expected it only in the last row, got {quote(cell)}")
     return named or None
 
 
@@ -186,7 +186,7 @@ def _unwound(states: Array, request: ExperimentRequest) -> Array:
 def _check_start(states: Array, rows: Sequence[int], request: ExperimentRequest, source: str) -> None:
     """Refuse a start other than the requested one, and degrees instead of radians."""
     task, start, got, begun = request.task, request.start, states[0], _unwound(states[:1], request)[0]
-    reason = "; are these degrees?" if _in_degrees(got, start, task) else "; is it another unit?"
+    reason = "; are these degrees?" if _in_degrees(got, start, task) else "; is the unit wrong?"
     for index, quantity in enumerate(task.states):
         limit, tolerance = request.bounds.states[index], start_tolerance(task)[index]
         where = f"{source}: row {rows[0]}, column {quantity.name}: expected"
@@ -207,7 +207,7 @@ def _check_start(states: Array, rows: Sequence[int], request: ExperimentRequest,
         if index < len(states) and _in_degrees(states[index], before, task):
             raise HardwareError(
                 f"{source}: row {rows[index]}: expected radians, got values that are {DEGREES:.1f} times "
-                f"{'the start' if index == 0 else 'those of the row before'}; are these degrees?"
+                f"{'the start' if index == 0 else 'those of the previous row'}; are these degrees?"
             )
 
 
@@ -227,8 +227,8 @@ def _check_times(times: Array, rows: Sequence[int], task: Task, source: str) -> 
     if len(back):
         row = rows[back[0] + 1]
         raise HardwareError(
-            f"{source}: row {row}, column time: expected more than {times[back[0]]:g} s, as in the row "
-            f"before, got {times[back[0] + 1]:g} s (since the first row)"
+            f"{source}: row {row}, column time: expected more than {times[back[0]]:g} s, the time of the "
+            f"previous row, got {times[back[0] + 1]:g} s (since the first row)"
         )
     if not len(steps):
         return
@@ -284,8 +284,8 @@ def _ended(
         failure = task.failure(states[k]) or f"unsafe_state_{task.states[beyond[0]].name}"
     if failure is None and k < task.horizon:
         raise HardwareError(
-            f"{end}: expected {task.horizon} frames of {task.time_step:g} s, the recording ends after {k} "
-            f"without a failure; if the robot failed, name how in its last row ({FAILURE})"
+            f"{end}: expected {task.horizon} frames of {task.time_step:g} s, but the recording ends after "
+            f"{k} without a failure; if the robot failed, name how in its last row ({FAILURE})"
         )
     states, inputs = states[: k + 1], inputs[:k]
     return Rollout(states, inputs, None if failure is None else k, failure, measured=states, sensed=True)
