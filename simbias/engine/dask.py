@@ -117,7 +117,7 @@ class Dask(Engine):
                 except RuntimeError as error:
                     if UNREADABLE not in str(error):
                         raise
-                    problem = "a worker cannot read what it is sent; has it simbias, in the same version?"
+                    problem = "a worker cannot read what it is sent; is its version of simbias the same?"
                     raise ConfigError("engine.address", problem) from error
                 else:
                     yield index, result
@@ -195,7 +195,7 @@ def _check_workers(client: Client) -> None:
     here = digest_there()
     for worker, digest in client.run(digest_there).items():
         if digest != here:
-            problem = f"{worker} has another simbias than this one, or none; install this version there"
+            problem = f"{worker} has another version of simbias, or none; install this version there"
             raise ConfigError("engine.address", problem)
 
 

@@ -44,7 +44,7 @@ def read_axis(name: str, spec: Any) -> Axis:
 
     where = f"sweep.axes.{name}"
     if name != "seed" and name in (*COLUMNS, *MEASURES):
-        raise ConfigError(where, "an axis may not have this name: tables have a column of this name")
+        raise ConfigError(where, "an axis cannot have the name of a table's column")
     if not isinstance(spec, Mapping):
         spec = {"keys": name, "values": spec}
     if "points" in spec:
@@ -60,7 +60,7 @@ def read_axis(name: str, spec: Any) -> Axis:
         while isinstance(value, Mapping) and value:
             inner, value = next(iter(value.items()))
             key += f".{inner}"
-        dotted = f"; of a key with dots: '+sweep.axes={{{key}: [...]}}'"
+        dotted = f"; for a key with dots: '+sweep.axes={{{key}: [...]}}'"
         otherwise = dotted if isinstance(value, list) else ", or have keys and values, or points"
         raise ConfigError(where, f"must be a list of values{otherwise}")
     if not isinstance(spec.get("values"), list):
@@ -87,7 +87,7 @@ def _checked(axis: Axis) -> Axis:
     if not axis.points:
         raise ConfigError(where, "has no values")
     if not all(text.isprintable() for text in (axis.name, *axis.labels)):
-        raise ConfigError(where, "has a name or label with letters that cannot be printed")
+        raise ConfigError(where, "has a name or label with unprintable characters")
     if len(set(axis.labels)) != len(axis.labels):
         raise ConfigError(where, f"has the same value or label twice: {', '.join(axis.labels)}")
     return axis

@@ -204,7 +204,7 @@ def _check_keys(axes: Sequence[Axis], overrides: Sequence[str], groups: Collecti
     for axis in axes:
         for key in axis.keys:
             if (root := key.partition(".")[0]) in NOT_HASHED:
-                raise ConfigError(f"sweep.axes.{axis.name}", f"{root} changes no trial's result")
+                raise ConfigError(f"sweep.axes.{axis.name}", f"{root} does not change any trial's result")
             for other, owner in owners.items():
                 if _overlap(key, other, groups):
                     problem = f"{key} is set elsewhere: {owner or 'each trial has its own'}"
@@ -213,7 +213,7 @@ def _check_keys(axes: Sequence[Axis], overrides: Sequence[str], groups: Collecti
         for key, value in (each for point in axis.points for each in point.items()):
             if (group := key.lstrip("+")) in groups and isinstance(value, Mapping):
                 inner = next(iter(value), "key")
-                problem = f"{group} is a group, whose values are options; write {key}.{inner}"
+                problem = f"{group} is a group; its values must be options, or write {key}.{inner}"
                 raise ConfigError(f"sweep.axes.{axis.name}", problem)
     for override in overridden(overrides):
         for key, axis_name in owners.items():
@@ -234,7 +234,7 @@ def _common_seeds(values: Mapping[str, Any], axes: Sequence[Axis]) -> frozenset[
     names = [axis.name for axis in axes]
     for name in (chosen := values.get("common_seeds", [])):
         if name not in names:
-            raise ConfigError("sweep.common_seeds", f"no such axis: {name}; there are {', '.join(names)}")
+            raise ConfigError("sweep.common_seeds", f"no such axis: {name}; available: {', '.join(names)}")
     return frozenset(chosen)
 
 
@@ -281,12 +281,12 @@ def _report(spec: Mapping[str, Any], axes: Sequence[Axis]) -> Report:
     columns = checked.get("columns")
     names = [axis.name for axis in axes]
     if columns is not None and columns not in names:
-        raise ConfigError("sweep.report.columns", f"no such axis: {columns}; there are {', '.join(names)}")
+        raise ConfigError("sweep.report.columns", f"no such axis: {columns}; available: {', '.join(names)}")
     paper = {tuple(map(label, path)): value for path, value in leaves(checked.get("paper") or {})}
     for labels, value in paper.items():
         if len(labels) != len(axes) or not isinstance(value, int | float):
             raise ConfigError(
-                "sweep.report.paper", f"must have a number for labels of {', '.join(names)}: {labels}"
+                "sweep.report.paper", f"must have a number for the labels of {', '.join(names)}, got {labels}"
             )
     measures = checked.get("measures", ["experiments", "succeeded", *(["paper"] if paper else [])])
     return Report(columns, tuple(measures), paper, checked.get("bar", BAR))

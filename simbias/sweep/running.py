@@ -72,7 +72,7 @@ def prepare(store: Tracking, variations: Variations) -> tuple[Sweep, DataFrame]:
             study = build(cell.composition)
             study.method.check(study)
             if study.conditions.confirm:
-                raise ConfigError("hardware.confirm", "a sweep cannot ask; false runs it unasked")
+                raise ConfigError("hardware.confirm", "must be false: a sweep cannot ask for confirmation")
         except ConfigError as error:
             where = f" (in the cell {' '.join(cell.labels)})" if cell.labels else ""
             raise ConfigError("", f"{error}{where}") from error
@@ -80,9 +80,9 @@ def prepare(store: Tracking, variations: Variations) -> tuple[Sweep, DataFrame]:
         studies.setdefault(tuple(sorted(cell.composition.choices.values())), study)
     for name, figure in sweep.figures.items():
         if store.folder is None and figure.reads_trials:
-            raise ConfigError("tracking", f"none keeps no trials, which sweep.figures.{name} reads")
+            raise ConfigError("tracking", f"none keeps no trials, but sweep.figures.{name} needs them")
         if figure.reads_tests and not tested:
-            problem = f"0, but sweep.figures.{name} is of tests of the last policies"
+            problem = f"is 0, but sweep.figures.{name} shows tests of the last policies"
             raise ConfigError("policy_test.episodes", problem)
     if len(ended) < len(sweep.trials) and not sweep.dry_run:
         for study in studies.values():  # compiled here once; workers find it in the cache
@@ -199,4 +199,4 @@ def changed_trials(sweep: Sweep, store: Tracking) -> Iterator[str]:
     problems["were not tested as policy_test now asks"] = otherwise
     for problem, count in problems.items():
         if count:
-            yield f"{count} of {finished} finished trials {problem}; tracking.trials=FOLDER begins again"
+            yield f"{count} of {finished} finished trials {problem}; tracking.trials=FOLDER starts afresh"

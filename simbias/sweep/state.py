@@ -31,10 +31,10 @@ from simbias.trial.summary import Outcome, TrialSummary
 
 DAMAGED = "simbias: %s; the trial counts as unfinished"
 MIXED = "simbias: trials of this sweep are from %d platforms, so their last bits may differ: %s"
-PART = "simbias: asked for %d of the %d trials of %s: its tables, figures and page stay those of all"
-LOSES = "simbias: %s loses %d of its %d trials, which are not asked for any more; their own folders stay"
+PART = "simbias: running %d of the %d trials of %s: its tables, figures and page still show all"
+LOSES = "simbias: %s drops %d of its %d trials, which are no longer part of the sweep; their folders stay"
 MEANWHILE = (
-    "simbias: trial %s was run, or an experiment withdrawn, here meanwhile: what its worker made is dropped"
+    "simbias: trial %s was run here, or an experiment withdrawn, meanwhile: its worker's result is dropped"
 )
 # First words about a sweep.
 RUNNING, DONE, INTERRUPTED = "**Running**", "**Done**", "**Interrupted**"

@@ -29,7 +29,7 @@ from simbias.trial.folder import ATTEMPTS, OUTCOME, TRIAL, TakenError, TrialFold
 from simbias.trial.run import TrialRecord, run_trial
 from simbias.trial.summary import Outcome, TrialSummary
 
-OTHER_CODE = "{} has other code there than where the sweep was started"
+OTHER_CODE = "the code of {} differs from that where the sweep was started"
 ROOM = 10_000_000  # bytes that must be free for a trial without a shared disk
 GONE = "the folder {} is gone: was it moved while the sweep ran? Move it back, and start the sweep again"
 

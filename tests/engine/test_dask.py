@@ -73,7 +73,7 @@ def test_a_function_that_workers_lack_is_an_error(cluster: Any) -> None:
 
 
 def test_workers_of_another_simbias_are_one_line(cluster: Any) -> None:
-    another = r"engine\.address: tcp://.* has another simbias .*, or none"
+    another = r"engine\.address: tcp://.* has another version of simbias, or none"
     with distributed.Client(cluster.scheduler_address, set_as_default=False) as client:
         for change in (hide, alter):
             client.run(change)

@@ -128,7 +128,7 @@ def test_bad_sweep() -> None:
             "+sweep=fig6", "preset=cartpole"
         ],
         "bias=nosuch: no such option": ["+sweep=smoke", "+sweep.axes.bias=[gp, nosuch]"],
-        "sweep.axes.x: tracking changes no trial's result": [
+        "sweep.axes.x: tracking does not change any trial's result": [
             "+sweep={trials: 1, axes: {x: {keys: tracking.uri, values: [a]}}}"
         ],
         "seed is set elsewhere: each trial has its own": ["+sweep={trials: 1, axes: {seed: [1, 2]}}"],
@@ -139,11 +139,11 @@ def test_bad_sweep() -> None:
         "sweep.axes.x: hardware.gaps is set elsewhere: hardware.gaps.slope": [
             "+sweep={trials: 1, axes: {hardware.gaps.slope: [0.02], x: {points: {a: {hardware.gaps: {}}}}}}"
         ],
-        "sweep.axes.x: hardware is a group, whose values are options; write hardware.friction": [
+        "sweep.axes.x: hardware is a group; its values must be options, or write hardware.friction": [
             "+sweep={trials: 1, axes: {x: {points: {a: {hardware: {}}}}}}",
             "+sweep.axes.x.points.a.hardware.friction=0.5",
         ],
-        "sweep.axes.x: hardware is a group, whose values are options; write +hardware.gaps": [
+        "sweep.axes.x: hardware is a group; its values must be options, or write +hardware.gaps": [
             "+sweep={trials: 1, axes: {x: {points: {a: {+hardware: {gaps: {slope: 1}}}}}}}"
         ],
         "sweep.axes.bias.d: no such key; '+sweep.axes={bias.d: [...]}' sets or adds an axis": [
@@ -163,8 +163,8 @@ def test_bad_sweep() -> None:
         ],
         "sweep.axes: 0 none and 0  none are the same": ["+sweep=smoke", "+sweep.axes.bias=[none, ' none']"],
         "sweep.report.columns: no such axis: no": ["+sweep=smoke", "+sweep.report.columns=no"],
-        "sweep.common_seeds: no such axis: no; there are ": ["+sweep=smoke", "+sweep.common_seeds=[no]"],
-        "sweep.axes.mean: an axis may not have this name": [
+        "sweep.common_seeds: no such axis: no; available: ": ["+sweep=smoke", "+sweep.common_seeds=[no]"],
+        "sweep.axes.mean: an axis cannot have the name": [
             "+sweep=smoke", "+sweep.axes.mean={keys: bias.d, values: [1]}"
         ],
     }.items():  # fmt: skip
@@ -179,9 +179,11 @@ def test_bad_axis() -> None:
         "has 2 labels for 1 values": {"keys": "x", "values": [0.1], "labels": ["a", "b"]},
         "names a key twice: x, +x": {"keys": ["x", "+x"], "values": [[1, 2]]},
         "must be a list of values, got 'gp'": "gp",
-        "must be a list of values; of a key with dots: '+sweep.axes={bias.a.d: [...]}'": {"a": {"d": [1, 2]}},
+        "must be a list of values; for a key with dots: '+sweep.axes={bias.a.d: [...]}'": {
+            "a": {"d": [1, 2]}
+        },
         "must be a list of values, or have keys and values, or points": {"point": {"a": {"bias": "gp"}}},
-        "has a name or label with letters that cannot be printed": {
+        "has a name or label with unprintable characters": {
             "keys": "x", "values": ["gp"], "labels": ["a\tb"]
         },
         "has the same value or label twice: gp, gp": ["gp", "gp"],

@@ -231,7 +231,7 @@ def test_what_is_done_here_meanwhile_stays(
     monkeypatch.setattr(Sequential, "shares_disk", False)
     assert main(command) == 0
     assert taken == [taken[0], taken[1], taken[0]]
-    assert f"trial {taken[0]} was run, or an experiment withdrawn, here meanwhile" in caplog.text
+    assert f"trial {taken[0]} was run here, or an experiment withdrawn, meanwhile" in caplog.text
     for trial in trials:
         assert len(TrialFolder(folder / "trials" / trial).withdrawals()) == 1
         assert (folder / "trials" / trial / "outcome_1.json").exists()

@@ -129,7 +129,7 @@ def test_a_part_of_a_sweep_leaves_its_record_and_others_say_what_it_loses(
         caplog.clear()
     record = (own / "sweep.json").read_text()
     (own / "sweep.json").write_text(record[:50])
-    with one_line(r"sweep\.json: cannot be read .*\. Delete it; the command of the whole sweep makes it"):
+    with one_line(r"sweep\.json: cannot be read .*\. Delete it: the command of the whole sweep recreates it"):
         simbias.run_sweep([*quick, "sweep.axes={hardware.inertia_error: [0.2]}"])
     (own / "sweep.json").write_text(record)
     assert len(SweepFolder(own).trials_recorded()) == 2
@@ -221,7 +221,7 @@ def test_a_sweep_of_tested_policies_needs_no_tests_any_more_and_others_are_told(
     assert capsys.readouterr().err == ""
     assert main([*command, "policy_test={episodes: 2, long_episodes: 0}"]) == 0
     said = (
-        "1 of 1 finished trials were not tested as policy_test now asks; tracking.trials=FOLDER begins again"
+        "1 of 1 finished trials were not tested as policy_test now asks; tracking.trials=FOLDER starts afresh"
     )
     assert capsys.readouterr().err == f"simbias: {said}\n"
 
@@ -303,8 +303,8 @@ def test_bad_input_runs_nothing(folder: Path, capsys: pytest.CaptureFixture[str]
         "method: searches on the hardware itself, but Manual is no simulator (in the cell ideal)": [
             "+sweep={trials: 1, axes: {method: [ideal]}}", "hardware=manual"
         ],
-        "policy_test.episodes: 0, but sweep.figures.gaps": ["+sweep=gaps", "policy_test.episodes=0"],
-        "hardware.confirm: a sweep cannot ask": ["+sweep=smoke", "hardware.confirm=true"],
+        "policy_test.episodes: is 0, but sweep.figures.gaps": ["+sweep=gaps", "policy_test.episodes=0"],
+        "hardware.confirm: must be false: a sweep cannot ask": ["+sweep=smoke", "hardware.confirm=true"],
         "tracking: none keeps no trials": ["+sweep=fig4", "tracking=none"],
         "sweep.figures.fig4.columns: ": ["+sweep=fig4", "sweep.figures.fig4.columns=0"],
         "sweep.figures.fig4.colour: ": ["+sweep=fig4", "+sweep.figures.fig4.colour=red"],

@@ -52,7 +52,7 @@ def test_a_worker_of_another_version_runs_no_trial(
     same = code(trial)
     other = plan._replace(code={**same, "simbias": "another"})
     lacking = with_bias(plan, "simbias.learning.bias.gp.Nothing")._replace(code=same)
-    words = f"simbias has other code there .*on {gethostname()}, ", "bias._target_: cannot import"
+    words = f"the code of simbias differs .*on {gethostname()}, ", "bias._target_: cannot import"
     for unfit, said in zip((other, lacking), words, strict=True):
         with one_line(said, WorkplaceError):
             run_plan(unfit)
