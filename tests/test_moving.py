@@ -119,7 +119,7 @@ def test_a_policy_that_does_not_swing_up_is_told_why(monkeypatch: pytest.MonkeyP
     assert "below which its regulator acts, is at its upper bound" in remark.words
     rooted = replace(study, cost=Declared(study.task, 1.0, 1.0, "sqrt(3 - angle)"))
     *_, remark = of_prediction(np.zeros(study.policy.n_parameters), study.first_model(), rooted)
-    assert remark.words.startswith("cost.running is no number at t = 0.02 s of this policy's simulation")
+    assert remark.words.startswith("cost.running is not finite at t = 0.02 s of this policy's simulation")
     rollout = study.simulate(np.zeros(study.policy.n_parameters))
     assert of_experiments((rollout,), study) == [  # on hardware it is told likewise
         "1 of 1 experiment missed the goal: in its last 1 s upright is 3.14 rad, not below 0.2"

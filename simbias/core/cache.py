@@ -23,7 +23,7 @@ def cache_folder(name: str, *first: str) -> Path:
             continue
         if os.access(folder, os.W_OK):
             return folder
-    raise OSError(f"there is no folder for {name} that can be written; XDG_CACHE_HOME names one")
+    raise OSError(f"no folder for {name} can be written; set XDG_CACHE_HOME to one")
 
 
 def _parents(first: tuple[str, ...]) -> Iterator[Path]:
@@ -45,5 +45,5 @@ def _private() -> Path:
     folder.mkdir(mode=0o700, exist_ok=True)
     found = folder.lstat()
     if sys.platform != "win32" and (found.st_uid != user or found.st_mode & 0o022 or folder.is_symlink()):
-        raise OSError(f"{folder} is another user's; XDG_CACHE_HOME names a folder for compiled code")
+        raise OSError(f"{folder} is another user's; set XDG_CACHE_HOME to a folder for compiled code")
     return folder

@@ -22,7 +22,7 @@ class ConfigError(ValueError):
 def reason(error: Exception) -> str:
     """The reason why a file or a value was refused, in words."""
     if isinstance(error, RecursionError):
-        return "a defaults list that leads back to itself, or values nested too deeply"
+        return "a defaults list refers back to itself, or values are nested too deeply"
     if isinstance(error, OSError) and error.strerror:
         return f"{error.strerror}: {error.filename}" if error.filename else error.strerror
     return words(error)

@@ -120,7 +120,7 @@ def drawn(draw: Callable[[], Array], at: Callable[[Array], Nominal]) -> tuple[Ar
         model = at(z)
         if (model.slack >= 0.0).all():
             return z, model
-    raise ValueError(f"uncertainty: no robot has any of {MOST_DRAWS} sets of parameters that were drawn")
+    raise ValueError(f"uncertainty: none of {MOST_DRAWS} drawn sets of parameters gives a possible robot")
 
 
 class Identification(ABC):

@@ -57,7 +57,7 @@ def uncertain(
     """
     for name in uncertainty:
         if name not in values:
-            raise ValueError(f"uncertainty: nothing is called {name}; there is {', '.join(values)}")
+            raise ValueError(f"uncertainty: nothing is called {name}; available: {', '.join(values)}")
     return tuple(
         Parameter(name, units[name], values[name], spread, "log_normal" if values[name] else "half_normal")
         for name, spread in uncertainty.items()

@@ -70,7 +70,7 @@ def by_quantity(
     known = dict.fromkeys(name for own in names for name in own)
     for name in values:
         if name not in known:
-            raise ValueError(f"{refusal} {name}; there is {', '.join(known)}")
+            raise ValueError(f"{refusal} {name}; available: {', '.join(known)}")
     return np.array([next((values[name] for name in own if name in values), default) for own in names])
 
 
@@ -107,5 +107,5 @@ def rates_and_positions(quantities: Sequence[Quantity]) -> tuple[Indices, Indice
     """
     pairs = np.array(rate_pairs(quantities), dtype=np.intp).reshape(-1, 2)
     if other := [quantity.name for i, quantity in enumerate(quantities) if np.sum(pairs == i) != 1]:
-        raise ValueError(f"the task has not a rate for each position, by their units: {', '.join(other)}")
+        raise ValueError(f"the task needs one rate for each position, by units; unpaired: {', '.join(other)}")
     return pairs[:, 1], pairs[:, 0]

@@ -48,7 +48,7 @@ def _check_span(value: Any) -> Any:
     if isinstance(value, str) and re.fullmatch(SPAN, value):
         return value
     if isinstance(value, bool) or not isinstance(value, int):
-        raise ValueError("must be a number of frames, or a duration as 40 ms or 0.2 s")
+        raise ValueError("must be a number of frames, or a duration such as 40 ms or 0.2 s")
     if not 0 < value <= MOST_FRAMES:
         raise ValueError(f"must be from 1 to {MOST_FRAMES} frames")
     return value

@@ -55,7 +55,7 @@ class Cost(ABC):
 
     def terms(self, x_next: Array, u: Array, t: Any) -> Array:
         """Terms (..., s) of frames that end in x_next (..., n) at the time t (...) in s, under u (..., m)."""
-        raise NotImplementedError(f"{type(self).__name__} has neither `terms` nor an `of` of its own")
+        raise NotImplementedError(f"{type(self).__name__} has neither `terms` nor its own `of`")
 
     def of_totals(self, totals: Array, lost: Indices) -> Array:
         """Z (...) of rollouts with these totals (..., s) and numbers of frames (...) lost by failure: finite.
@@ -84,7 +84,7 @@ class Cost(ABC):
         """The cost of rollouts of at most `horizon` frames."""
         if not self.reductions:
             raise NotImplementedError(
-                f"{type(self).__name__} has no `with_horizon`: evaluation.seconds needs it"
+                f"{type(self).__name__} has no `with_horizon`, which evaluation.seconds needs"
             )
         other = copy(self)
         other.horizon = horizon

@@ -86,7 +86,7 @@ def read_table(path: Path, may_lack: str = "", may_be_cut: bool = False, whole_l
             raw = file.read(LARGEST + 1)
         text = raw.decode("utf-8-sig") if len(raw) <= LARGEST else ""
     except UnicodeDecodeError as error:
-        raise HardwareError(f"{path}: is no text in UTF-8 ({words(error)}); save it as such") from error
+        raise HardwareError(f"{path}: is not UTF-8 text ({words(error)}); save it as UTF-8") from error
     except (OSError, EOFError, zlib.error) as error:
         raise HardwareError(f"{path}: cannot be read ({words(error)})") from error
     if len(raw) > LARGEST:
@@ -99,7 +99,7 @@ def read_table(path: Path, may_lack: str = "", may_be_cut: bool = False, whole_l
         reader = csv.reader(io.StringIO(text[begin:]), delimiter=separator)
         lines = [(i, row) for i, row in enumerate(reader, 1 + text[:begin].count("\n")) if any(row)]
     except csv.Error as error:
-        raise HardwareError(f"{path}: is no CSV ({words(error)})") from error
+        raise HardwareError(f"{path}: is not a CSV file ({words(error)})") from error
     names, cells, cut = tuple(cell.strip() for cell in lines[0][1]) if lines else (), [], None
     may_be_cut = may_be_cut and bool(lines) and not text.endswith(("\n", "\r"))
     if may_be_cut and (whole_lines or len(lines[-1][1]) < len(names)):

@@ -66,8 +66,8 @@ class Declared(Cost):
             terms = self.terms(rollout.states[1:], rollout.inputs, t)
         for frame, column in np.argwhere(terms >= LARGEST)[:1]:
             return "a cost is no number", (
-                f"cost.{NAMES[column]} is no number at t = {t[frame]:.3g} s of this policy's simulation, and "
-                f"counts as {LARGEST:g}: every policy may cost the same"
+                f"cost.{NAMES[column]} is not finite at t = {t[frame]:.3g} s of this policy's simulation, so "
+                f"it counts as {LARGEST:g}: every policy may cost the same"
             )
         return None
 

@@ -48,7 +48,7 @@ class Saturating(Cost):
         if not w.any():
             raise ValueError("widths: at least one must be above 0")
         if w[w > 0].min() < LEAST:
-            raise ValueError(f"widths: those above 0 have to be {LEAST:g} at least, got {w[w > 0].min():g}")
+            raise ValueError(f"widths: those above 0 must be at least {LEAST:g}, got {w[w > 0].min():g}")
         self._W = np.divide(0.5, w**2, out=np.zeros_like(w), where=w > 0)  # (g,)
         self._Q = weights_of("input_weights", input_weights or {}, task.inputs)  # (m,)
 

@@ -69,7 +69,7 @@ class DynamicOutputFeedback(Policy):
         chosen = names[:1] if integrated is None else integrated
         for name in chosen:
             if name not in names:
-                raise ValueError(f"integrated: no output is called {name}; there are {', '.join(names)}")
+                raise ValueError(f"integrated: no output is called {name}; available: {', '.join(names)}")
         m, q = len(task.inputs), len(task.outputs)
         self._task, self._m, self._q = task, m, q
         self._filters, self._integrates = filter_seconds > 0, integral_rate > 0

@@ -29,7 +29,7 @@ class IntegralFeedback(Policy):
         chosen = names[:1] if outputs is None else outputs
         for name in chosen:
             if name not in names:
-                raise ValueError(f"outputs: none is called {name}; there are {', '.join(names)}")
+                raise ValueError(f"outputs: none is called {name}; available: {', '.join(names)}")
         self._task = task
         self._chosen = [names.index(name) for name in chosen]
         self.state_size = len(chosen)

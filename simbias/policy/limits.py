@@ -13,5 +13,5 @@ def limits_of(task: Task) -> tuple[Array, Array]:
     bounds = task.input_bounds
     for each, limits in zip(task.inputs, np.transpose(bounds), strict=True):
         if not np.isfinite(limits).all():
-            raise ValueError(f"inputs.{each.name} has no limit, which this policy needs")
+            raise ValueError(f"inputs.{each.name} has no limit, but this policy needs one")
     return bounds

@@ -58,7 +58,7 @@ class Switched(Policy):
         latency: NonNegative = 0.0,
     ) -> None:
         if task.goals != task.states:
-            raise ValueError("the task's goal has to be about all states, in their order")
+            raise ValueError("the task's goal must be all states, in their order")
         self._task, self._hysteresis, self._input_weight = task, hysteresis, input_weight
         self._swing_up = Network(
             task, nominal, kind, units, bound, observer=observer, noise=noise, latency=latency
@@ -84,7 +84,7 @@ class Switched(Policy):
         for side, bound in zip(("lower", "upper"), LEVELS, strict=True):
             if abs(bound - theta[-1]) < 0.01 * np.ptp(LEVELS):
                 return "the level of a switched policy is at its bound", (
-                    f"this policy's level, below which its regulator acts, is at its {side} bound: that says "
+                    f"this policy's level, below which its regulator acts, is at its {side} bound: this says "
                     "little about where the regulator holds"
                 )
         return None

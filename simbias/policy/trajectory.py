@@ -66,7 +66,7 @@ class Trajectory(Policy):
         resting: NonNegative = 0.0,
     ) -> None:
         if task.targets:
-            raise ValueError("follows one plan; this task's targets ask for another one at each start")
+            raise ValueError("follows one plan, but this task's targets need another one at each start")
         duration = task.horizon * task.time_step
         if resting > duration - task.time_step:
             raise ValueError(f"resting: expected less than the horizon's {duration:g} s, got {resting:g} s")

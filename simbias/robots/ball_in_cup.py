@@ -136,7 +136,7 @@ class BallInCup(Nominal):
     ) -> None:
         if [state.unit for state in task.states] != ["m"] * 4 + ["m/s"] * 4 or len(task.inputs) != 2:
             raise ValueError(
-                "expected a task with the places of a cup and a ball, their velocities, two forces"
+                "expected a task with the positions of a cup and a ball, their velocities, and two forces"
             )
         given = (cup_mass, ball_mass, string, damping, friction, string_rate, contact_rate)
         values = dict(zip(_UNITS, given, strict=True))

@@ -86,7 +86,7 @@ class Gymnasium(Hardware):
         self.simulates = type(own).__module__.partition(".")[0] == "gymnasium"  # others may drive robots
         if values or factors:
             if not hasattr(getattr(own, "model", None), "body_mass"):
-                raise ValueError(f"values and factors: {environment} is no environment in MuJoCo")
+                raise ValueError(f"values and factors: {environment} is not a MuJoCo environment")
             put_values(own.model, changes(own.model, values or {}, factors or {}))
         step = getattr(own, "dt", getattr(own, "tau", task.time_step))
         if not np.isclose(step, task.time_step, rtol=1e-6):
@@ -104,7 +104,7 @@ class Gymnasium(Hardware):
         shape = self._environment.observation_space.shape
         if shape is None or len(shape) != 1:
             raise ValueError(
-                f"an observation of {name} is no vector, but {self._environment.observation_space}"
+                f"an observation of {name} is not a vector, but {self._environment.observation_space}"
             )
         seen = [f"observation[{index}]" for index in range(shape[0])]
         names = [state.name for state in self._task.states]
@@ -144,12 +144,12 @@ class _Action:
         else:
             if not hasattr(space, "low") or len(space.shape) != 1:
                 raise ValueError(
-                    f"an action of {environment} is neither a vector nor one of several, but {space}"
+                    f"an action of {environment} is neither a vector nor a discrete choice, but {space}"
                 )
             self._low, self._high = (np.asarray(b, dtype=np.float64) for b in (space.low, space.high))
         if len(texts) != len(self._low):
             has = f"an action of {environment} has {len(self._low)} numbers"
-            raise ValueError(f"{has}; {len(texts)} are given")
+            raise ValueError(f"{has}; the config gives {len(texts)}")
         for u in task.input_bounds:
             asked = self._expressions(u)
             if (asked < self._low - 1e-6).any() or (asked > self._high + 1e-6).any():
@@ -192,7 +192,7 @@ class _Running(Robot):
 def _make(name: str, options: dict[str, Any]) -> Any:
     gymnasium = library("gymnasium", "Gymnasium", "gymnasium")
     if ":" in name:  # its first part would be imported
-        raise ValueError(f"{quote(name)} names a module; only registered environments are made")
+        raise ValueError(f"{quote(name)} names a module; only registered environments can be used")
     try:
         return gymnasium.make(name, max_episode_steps=-1, disable_env_checker=True, **options)
     except Exception as error:  # also an environment's own errors

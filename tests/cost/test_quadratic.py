@@ -212,7 +212,7 @@ def test_what_it_does_not_know_is_refused() -> None:
     for widths, words in (
         ({"torque": 1.0}, "nothing is called torque"),
         ({}, "at least one must be above 0"),
-        ({task.goals[0].name: 1e-300}, "those above 0 have to be 1e-09 at least"),
+        ({task.goals[0].name: 1e-300}, "those above 0 must be at least 1e-09"),
     ):
         with pytest.raises(ValueError, match=f"widths: {words}"):
             Saturating(task, widths, 0.5)
@@ -236,6 +236,6 @@ def test_what_is_not_finite_costs_a_finite_number(study: Study) -> None:
     x[2, 1] = -0.1
     oddity = rooted.oddity(Rollout(x, np.zeros((3, 1))))
     assert oddity is not None
-    assert oddity[1].startswith("cost.peak is no number at t = 0.08 s")
+    assert oddity[1].startswith("cost.peak is not finite at t = 0.08 s")
     for reduction in REDUCTIONS.values():
         assert eval(reduction.format("total", "term"), {"total": 2.5, "term": np.nan}) == 2.5

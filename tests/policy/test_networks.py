@@ -117,7 +117,7 @@ def test_written_they_are_what_they_are_in_numpy(cartpole: Study, turning: Task)
 
 
 def test_it_switches_where_the_regulator_holds_and_not_at_once_back(cartpole: Study, turning: Task) -> None:
-    with pytest.raises(ValueError, match="goal has to be about all states"):
+    with pytest.raises(ValueError, match="goal must be all states"):
         Switched(declared(goal={"position": "sin(t)"}, failure=None), cartpole.nominal)
     policy = Switched(turning, cartpole.nominal, hysteresis=4.0)
     theta = np.zeros(policy.n_parameters)  # the network's inputs are zero; level 1

@@ -293,7 +293,7 @@ def test_priors_are_as_declared():
     (weak,) = LagrangianBongoboard(TASK, uncertainty=Uncertainty(torque_limit=2 * limit)).parameters
     assert weak[2:4] == (0.0, limit)
     assert MODEL.parameters == ()
-    with pytest.raises(ValueError, match="is 200 frames; at most 100 are remembered"):
+    with pytest.raises(ValueError, match="is 200 frames; at most 100 are possible"):
         LagrangianBongoboard(TASK, uncertainty=Uncertainty(delay=0.2))
 
 
@@ -323,7 +323,7 @@ def test_what_is_not_sampled_is_not_there_until_it_is_identified():
     identified = model.with_parameters(np.array([parameter.value for parameter in model.parameters]))
     assert identified.state_size == 1 + 10
     assert identified.draw(np.random.default_rng(1)).state_size == 0
-    with pytest.raises(ValueError, match=r"^sampled: no uncertainty is called slop; there is masses, "):
+    with pytest.raises(ValueError, match=r"^sampled: no uncertainty is called slop; available: masses, "):
         LagrangianBongoboard(TASK, sampled=["slop"])
 
 

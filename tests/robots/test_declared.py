@@ -275,26 +275,26 @@ def test_what_cannot_be_meant_is_refused() -> None:
             {"failure": {"falls": {"value": "angel", "below": 1}}},
             "^task: failure.falls: 'angel': nothing is called an",
         ),
-        ({"failure": {"falls": {"value": "angle"}}}, "^task: failure.falls: one of above and below"),
-        ({"states": {"a b": {"unit": "m"}}}, "^task.states: 'a b' is no name"),
+        ({"failure": {"falls": {"value": "angle"}}}, "^task: failure.falls: needs one of above and below"),
+        ({"states": {"a b": {"unit": "m"}}}, "^task.states: 'a b' is not a name"),
         ({"constants": {"angle": 1.0}}, "^task: angle: two things have this name"),
         ({"states": {"x": {"unit": "m", "meen": 1}}}, "^task.states.x.meen: no such key"),
         ({"drawing": {"rail": {"points": [["0", "nosuch"]]}}}, "^task: drawing.rail.0.y: 'nosuch'"),
         ({"drawing": {"rail": {"points": [[0, 0, 0]]}}}, "^task.drawing.rail.points.0: "),
-        ({"goal": {"height": "0"}}, "goal: no state or output is called height; there is position"),
+        ({"goal": {"height": "0"}}, "goal: no state or output is called height; available: position"),
         ({"goal": {"position": "0.5 + t"}}, "goal.position is 0.95.* where the task fails: leaves"),
         (
             {"goal": {"position": "-t"}, "failure": {"ends": {"value": "position", "below": -0.5}}},
             "goal.position is -0.501 at t = 0.501 s, where the task fails: ends",
         ),
-        ({"goal": {"position": "sqrt(1 - t)"}}, "goal.position is no number at t = 1"),
-        ({"goal": {"position": "angle"}}, "goal.position: 'angle': nothing is called angle; there is t"),
+        ({"goal": {"position": "sqrt(1 - t)"}}, "goal.position is not a finite number at t = 1"),
+        ({"goal": {"position": "angle"}}, "goal.position: 'angle': nothing is called angle; available: t"),
         (
             {"goal": {"position": "max(min(1e6 * (t - 2), 0.8), 0)"}},
             r"goal.position jumps after t = 1.96 s: ",
         ),
-        ({"success": STILL}, "success and hold are to be given together"),
-        ({"success": STILL, "hold": 6.0}, "hold is 6 s, and an episode 5 s: none can succeed"),
+        ({"success": STILL}, "give success and hold together"),
+        ({"success": STILL, "hold": 6.0}, "hold is 6 s, but an episode 5 s: none can succeed"),
         ({"success": NEVER, "hold": 1.0}, "success.near cannot hold: .* is 0 m, not below -0.1 at the goal"),
         (
             {"success": {"late": {"value": "t", "above": 4.5}}, "hold": 1.0},
@@ -302,16 +302,16 @@ def test_what_cannot_be_meant_is_refused() -> None:
         ),
         (
             {"success": {"far": {"value": "abs( position )", "above": 2}}, "hold": 1.0},
-            "success.far cannot hold: where it does, the task fails: leaves",
+            "success.far cannot hold: the task fails wherever it does .leaves",
         ),
         (
             {"success": STILL, "hold": 5.0, "starts": [[0.0, 0.2, 0, 0]]},
-            "starts.0: hold is a whole episode, and in its last 5 s still is 0.2, not below 0.1 at its start",
+            "starts.0: hold is a whole episode, but in its last 5 s still is 0.2, not below 0.1 at its start",
         ),
-        ({"starts": [[0.0]]}, "each has to have 4 numbers"),
+        ({"starts": [[0.0]]}, "each must have 4 numbers"),
         (
             {"starts": [[0.0] * 4], "states": {"position": {"unit": "m", "uniform": [0, 1]}}},
-            "states.position: starts take the place of its uniform or values",
+            "states.position: starts replace its uniform or values",
         ),
         ({"starts": [[0.0] * 4, [3.0, 0, 0, 0]]}, "starts.1: the task fails at its start: leaves"),
         ({"targets": {"aim": {"unit": "m", "uniform": [1, 0]}}}, "targets.aim: uniform is"),
@@ -319,7 +319,7 @@ def test_what_cannot_be_meant_is_refused() -> None:
             {"failure": {False: {"value": "angle", "above": 1}}},
             "^task.failure: False is not a name; put it in quotes",
         ),
-        ({"pushes": {"torque": PULSES}}, "pushes: no input is called torque; there is force"),
+        ({"pushes": {"torque": PULSES}}, "pushes: no input is called torque; available: force"),
         ({"pushes": {"force": PULSES | {"amplitude": [-1, 1]}}}, r"expected 0 <= least <= most, got \[-1, 1"),
         (
             {"pushes": {"force": PULSES | {"seconds": [0.001, 0.1]}}},
@@ -337,7 +337,7 @@ def test_what_cannot_be_meant_is_refused() -> None:
 
 def test_a_reference_that_cannot_be_meant_is_refused(tmp_path: Path) -> None:
     for text, message in (
-        ("t,position\n0,0\n3,0.1\n", "ends at 3 s; an episode takes 5 s"),
+        ("t,position\n0,0\n3,0.1\n", "ends at 3 s, an episode at 5 s"),
         (
             "t,position\n0,0\n1,0.1\n1.01,0.7\n5,0.8\n",
             "goal.position jumps after t = 0.96 s: by 0.605 m in 2 frames",
@@ -348,7 +348,7 @@ def test_a_reference_that_cannot_be_meant_is_refused(tmp_path: Path) -> None:
         ("time,position\n0,0\n5,1\n", "got the columns 'time,position'"),
         ("t,position\n0,0\n5,nan\n", "row 3, column position: expected a finite number"),
         ("t,position,position\n0,0,0\n5,1,1\n", "got the columns 't,position,position'"),
-        ("t,position\n0,0\n0,1\n5,1\n", "t has to grow from 0"),
+        ("t,position\n0,0\n0,1\n5,1\n", "t must increase from 0"),
     ):
         with one_line(message):
             declared(reference=table(tmp_path, text))
@@ -359,5 +359,5 @@ def test_a_reference_that_cannot_be_meant_is_refused(tmp_path: Path) -> None:
         "exp(sin(pi * t)) - exp(sin(pi * (t + 2)))",
     ):
         declared(goal={"position": smooth})
-    with pytest.warns(SlowWarning, match=r"goes on to 5000 s, and an episode takes 5 s: is its t in ms\?"):
+    with pytest.warns(SlowWarning, match=r"lasts 5000 s, but an episode takes 5 s: is its t in ms\?"):
         declared(reference=table(tmp_path, "t,position\n0,0\n5000,0.1\n"))

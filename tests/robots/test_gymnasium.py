@@ -86,10 +86,10 @@ def test_what_does_not_go_with_the_task_is_one_line() -> None:
         ({"states": {"angle": "observation[0]"}}, "states: expected angle, rate, got angle"),
         ({"states": {"angle": "observation[3]", "rate": "1"}}, r"nothing is called observation\[3\]"),
         ({"action": ["2 * torque"]}, r"at the input \[-2.0\] the action is \[-4.0\]; Pendulum-v1 takes"),
-        ({"action": ["torque", "torque"]}, "an action of Pendulum-v1 has 1 numbers; 2 are given"),
+        ({"action": ["torque", "torque"]}, "an action of Pendulum-v1 has 1 numbers; the config gives 2"),
         ({"start": Start(qpos=["angle"], qvel=["rate"])}, "start: Pendulum-v1 cannot be set by qpos, qvel"),
         ({"start": Start()}, "start: no expressions are given"),
-        ({"factors": {"*.mass": 2.0}}, "Pendulum-v1 is no environment in MuJoCo"),
+        ({"factors": {"*.mass": 2.0}}, "Pendulum-v1 is not a MuJoCo environment"),
         ({"options": {"colour": 1}}, "'Pendulum-v1': "),
     ]
     for changes, message in cases:
@@ -100,5 +100,5 @@ def test_what_does_not_go_with_the_task_is_one_line() -> None:
 
 @pytest.mark.parametrize("space", [MultiDiscrete([2, 2]), MultiBinary(1), Box(-1, 1, (2, 2))], ids=str)
 def test_actions_that_are_neither_a_vector_nor_one_of_several_are_one_line(space: Space) -> None:
-    with one_line("an action of Any-v0 is neither a vector nor one of several, but ", ValueError):
+    with one_line("an action of Any-v0 is neither a vector nor a discrete choice, but ", ValueError):
         _Action(space, cart_pole(**PENDULUM), None, "Any-v0")

@@ -86,7 +86,7 @@ def test_limits_of_an_input_are_held_against_the_file_on_either_side(file: str) 
     ):
         with pytest.raises(ValueError, match=message):
             Mechanism(quadrotor(**limits), file)  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match=r"inputs\.m1: lower is 6, not below the limit 6"):
+    with pytest.raises(ValueError, match=r"inputs\.m1: lower is 6; it must be below the limit 6"):
         quadrotor(limit=6.0, lower=6.0)
 
 
@@ -183,9 +183,9 @@ def test_sensors_and_sites_are_outputs_and_criteria(file: str) -> None:
     np.testing.assert_allclose(rollout.inputs[0], law.act(theta, rollout.states[0], 0.0, np.zeros(0))[0])
     assert rollout.failure is None or task.measure(rollout.states[-1]) > -0.9
     for wrong, message in (
-        ({"sensors": ["felt"]}, "sensor 'felt' measures forces or accelerations; there is up, gyro"),
-        ({"sensors": ["nose"]}, "sensor 'nose' is not there"),
-        ({"sites": ["tip"]}, "no site 'tip'; there is m1, m2, m3, m4"),
+        ({"sensors": ["felt"]}, "sensor 'felt' measures forces or accelerations; available: up, gyro"),
+        ({"sensors": ["nose"]}, "sensor 'nose' does not exist"),
+        ({"sites": ["tip"]}, "no site 'tip'; available: m1, m2, m3, m4"),
         ({"sensors": ["up", "up"]}, r"up\[0\]: two things have this name"),
         ({"sites": ["m1", "m1"]}, r"m1\[0\]: two things have this name"),
     ):

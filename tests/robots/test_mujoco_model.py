@@ -361,9 +361,7 @@ def test_a_urdf_has_motors_where_its_joints_are_named(tmp_path: Path) -> None:
     assert after[1] == pytest.approx(3.0 / 2.0 * 0.02)
     mesh = '<collision><geometry><mesh filename="package://a/b.stl"/></geometry></collision>'
     file.write_text(URDF.replace('<link name="cart">', f'<link name="cart">{mesh}'))
-    with pytest.raises(
-        ValueError, match=r"b\.stl' \(no geometry is needed to move: visual and collision may "
-    ):
+    with pytest.raises(ValueError, match=r"b\.stl' \(motion needs no geometry: visual and collision may "):
         Mujoco(task, str(file), actuators=["rail"])
     file.write_text(URDF.replace('effort="20"', 'effort="9"'))
     with pytest.raises(ValueError, match="the task's input may be 20; the actuator rail gives 9"):
@@ -395,11 +393,11 @@ def test_a_bad_file_is_one_line(tmp_path: Path) -> None:
             {"file": DOUBLE},
             "the task has 4 states; positions and velocities of the joints slider, hinge, hin",
         ),
-        ({"joints": ["slider"]}, "joint hinge: all joints have to be states"),
+        ({"joints": ["slider"]}, "joint hinge: all joints must be states"),
         ({"joints": ["slider", "knee"]}, "joints: .* has no 'knee'; it has slider, hinge"),
         ({"actuators": ["pull"]}, "actuators: .* has no 'pull'; it has push"),
         ({"actuators": ["push", "push"]}, "actuators: 'push' is named twice"),
-        ({"values": {"pole.colour": 1.0}}, "no parameter is called 'pole.colour'; there is body.mass, "),
+        ({"values": {"pole.colour": 1.0}}, "no parameter is called 'pole.colour'; available: body.mass, "),
         ({"uncertainty": {"knee.*": 1.0}}, "no parameter is called 'knee.*'"),
     ]
     for arguments, message in cases:
@@ -408,7 +406,7 @@ def test_a_bad_file_is_one_line(tmp_path: Path) -> None:
     servo = '<position name="push" joint="slider" kp="10" timeconst="0.1"/>'
     for limit, actuators, message in (
         (30.0, MOTOR, r"the task's input may be 30; the actuator push gives 20 \(N; a motor's inputs are"),
-        (20.0, servo, "actuators with a state of their own are not supported: push; take away"),
+        (20.0, servo, "actuators with a state of their own are not supported: push; remove"),
         (20.0, "", "the task has 1 inputs"),
     ):
         with one_line(message, ValueError):
@@ -437,7 +435,7 @@ def test_a_task_reads_its_states_in_the_order_of_the_models_joints(tmp_path: Pat
 def test_a_policy_that_predicts_by_the_engine_is_no_code_and_says_so() -> None:
     study = simbias.load(["preset=double_cartpole", "policy=mlp", "policy.latency=0.02", "tracking=none"])
     why = formulas_of(study.policy, study.task, np.zeros(study.policy.n_parameters))
-    assert "the policy predicts by MuJoCo's engine, which is no formula" in str(why)
+    assert "the policy predicts with MuJoCo's engine, which has no formula" in str(why)
 
 
 def test_without_mujoco_it_is_said_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -51,7 +51,7 @@ def test_rates_are_told_by_units_and_names() -> None:
 def test_positions_without_rates_of_their_own_are_refused(study: Study) -> None:
     task = copy(study.task)
     task.states = (*task.states, Quantity("other", "rad"))
-    with pytest.raises(ValueError, match="the task has not a rate for each position, by their units: other"):
+    with pytest.raises(ValueError, match="needs one rate for each position, by units; unpaired: other"):
         NoNominal(task, kinematics=True)
 
 

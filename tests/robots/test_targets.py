@@ -184,8 +184,8 @@ def test_who_is_asked_is_told_a_robots_start_and_a_policy_that_knows_them(still:
 def test_what_cannot_be_is_one_line() -> None:
     cases: list[tuple[dict[str, Any], str]] = [
         ({"failure": {"far": {"value": "position - place", "above": 1.0}}}, "failure.far: .* cannot depend"),
-        ({"goal": None}, "targets: a goal, or outputs of a goal, have to depend on them"),
-        ({"targets": {**TARGETS, "angle": {"unit": "rad"}}}, "targets.angle: a state has this name"),
+        ({"goal": None}, "targets: a goal, or outputs of a goal, must depend on them"),
+        ({"targets": {**TARGETS, "angle": {"unit": "rad"}}}, "targets.angle: a state already has this name"),
         ({"targets": {"place": {"unit": "m", "uniform": [1, 0]}}}, "place: uniform is"),
     ]
     for changes, message in cases:

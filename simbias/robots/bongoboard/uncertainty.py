@@ -64,7 +64,7 @@ def only(names: Sequence[str], uncertainty: Uncertainty) -> Uncertainty:
     known = [each.name for each in fields(Uncertainty)]
     for name in names:
         if name not in known:
-            raise ValueError(f"sampled: no uncertainty is called {name}; there is {', '.join(known)}")
+            raise ValueError(f"sampled: no uncertainty is called {name}; available: {', '.join(known)}")
     return Uncertainty(**{name: getattr(uncertainty, name) for name in names})
 
 

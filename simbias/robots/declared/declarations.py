@@ -77,7 +77,7 @@ def _names(values: dict[str, _Value]) -> dict[str, _Value]:
     """Check that expressions can use the names."""
     for name in values:
         if not name.isidentifier():
-            raise ValueError(f"{name!r} is no name: letters, digits and _ make one, as in d_angle")
+            raise ValueError(f"{name!r} is not a name: use letters, digits and _, as in d_angle")
     return values
 
 
@@ -87,14 +87,14 @@ Named = Annotated[dict[str, _Value], AfterValidator(_names), AfterValidator(_in_
 def measure_of(name: str, failure: Failure) -> str:
     """The expression whose value exceeds the criterion's limit if x fails."""
     if (failure.above is None) == (failure.below is None):
-        raise ValueError(f"{name}: one of above and below is to be given")
+        raise ValueError(f"{name}: needs one of above and below")
     return failure.value if failure.below is None else f"-({failure.value}\n)"  # it may end with a comment
 
 
 def push_of(name: str, pulses: Pulses, inputs: Sequence[str], time_step: float) -> Push:
     """Pushes on one of these inputs, with frames of `time_step` seconds."""
     if name not in inputs:
-        raise ValueError(f"pushes: no input is called {name}; there is {', '.join(inputs)}")
+        raise ValueError(f"pushes: no input is called {name}; available: {', '.join(inputs)}")
     amplitude, seconds = (pulses.amplitude[0], pulses.amplitude[1]), (pulses.seconds[0], pulses.seconds[1])
     for key, (least, most) in (("amplitude", amplitude), ("seconds", seconds)):
         if not 0 <= least <= most:
@@ -112,7 +112,7 @@ def bounds_of(inputs: Mapping[str, Input]) -> tuple[Array, Array]:
     lower = np.array([-each.limit if each.lower is None else each.lower for each in inputs.values()])
     for name, least, most in zip(inputs, lower.tolist(), upper.tolist(), strict=True):
         if not least < most:
-            raise ValueError(f"inputs.{name}: lower is {least:g}, not below the limit {most:g}")
+            raise ValueError(f"inputs.{name}: lower is {least:g}; it must be below the limit {most:g}")
     return lower, upper
 
 

@@ -62,7 +62,7 @@ class Reference:
         finite = np.broadcast_to(np.isfinite(self(times)), (len(times), len(self.names)))
         if not finite.all():
             row, column = np.argwhere(~finite)[0]
-            raise ValueError(f"goal.{self.names[column]} is no number at t = {times[row]:.3g} s")
+            raise ValueError(f"goal.{self.names[column]} is not a finite number at t = {times[row]:.3g} s")
 
     def __call__(self, t: Any, targets: Array | None = None) -> Array:
         """Reference values (..., g) at times t (...) in s, for targets (..., k); None: their means."""
@@ -93,16 +93,17 @@ def _rows(file: str, seconds: float) -> tuple[tuple[str, ...], Array, Array]:
     times, values = numbers[:, 0], numbers[:, 1:]
     if len(times) > MOST_ROWS:
         raise ValueError(
-            f"reference {quote(file)}: {len(times)} rows, {MOST_ROWS} at most: it is linear between them"
+            f"reference {quote(file)}: expected at most {MOST_ROWS} rows, with lines between them, "
+            f"got {len(times)}"
         )
     if times[0] > 0 or (np.diff(times) <= 0).any():
-        raise ValueError(f"reference {quote(file)}: t has to grow from 0")
+        raise ValueError(f"reference {quote(file)}: t must increase from 0")
     if times[-1] < seconds - 1e-9:
-        raise ValueError(f"reference {quote(file)} ends at {times[-1]:g} s; an episode takes {seconds:g} s")
+        raise ValueError(f"reference {quote(file)} ends at {times[-1]:g} s, an episode at {seconds:g} s")
     if times[-1] > LONG * seconds:
         warnings.warn(
-            f"reference {quote(file)} goes on to {times[-1]:g} s, and an episode takes {seconds:g} s: "
-            f"is its t in ms?",
+            f"reference {quote(file)} lasts {times[-1]:g} s, but an episode takes {seconds:g} s: "
+            "is its t in ms?",
             SlowWarning,
             stacklevel=4,
         )
@@ -156,7 +157,7 @@ def check_jumps(reference: Reference, goals: Sequence[Quantity], time_step: floa
         size = f"{moved[frame, column]:.3g} {goals[column].unit}".strip()
         raise ValueError(
             f"goal.{goals[column].name} jumps after t = {times[frame]:.4g} s: by {size} in {BRIEF} frames; "
-            "a ramp can be followed"
+            "use a ramp, which can be followed"
         )
 
 
@@ -193,7 +194,7 @@ class Success:
             for other, failure in failures.items():
                 same = measure_of(name, each).replace(" ", "") == measure_of(other, failure).replace(" ", "")
                 if same and criterion_of(name, each, ()).limit >= criterion_of(other, failure, ()).limit:
-                    raise ValueError(f"success.{name} cannot hold: where it does, the task fails: {other}")
+                    raise ValueError(f"success.{name} cannot hold: the task fails wherever it does ({other})")
 
     def holds(self, states: Array, times: Array, errors: Array) -> bool:
         """Whether an episode of states (T+1, .) at times (T+1,), with errors (T+1, g), succeeds."""

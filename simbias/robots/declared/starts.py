@@ -46,13 +46,13 @@ class Starts:
     def __init__(self, states: Mapping[str, State], starts: Sequence[Sequence[float]] | None) -> None:
         for key, state in states.items():
             if state.uniform is not None and not state.uniform[0] < state.uniform[1]:
-                raise ValueError(f"{key}: uniform is {list(state.uniform)}, not from less to more")
+                raise ValueError(f"{key}: uniform is {list(state.uniform)}; its ends must increase")
             if (state.uniform is not None) + (state.values is not None) + (state.mean != 0) > 1:
-                raise ValueError(f"{key}: one of mean, uniform and values is to be given")
+                raise ValueError(f"{key}: give only one of mean, uniform and values")
             if starts is not None and (state.uniform or state.values):
-                raise ValueError(f"{key}: starts take the place of its uniform or values: give one of both")
+                raise ValueError(f"{key}: starts replace its uniform or values; give one of them")
         if any(len(start) != len(states) for start in starts or ()):
-            raise ValueError(f"starts: each has to have {len(states)} numbers, one for each state")
+            raise ValueError(f"starts: each must have {len(states)} numbers, one for each state")
         self._states = tuple(states.values())
         self._starts = None if starts is None else np.array(starts, dtype=np.float64)
         self._noise = np.array([state.deviation for state in self._states])

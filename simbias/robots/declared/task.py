@@ -105,7 +105,7 @@ class Declared(Task):
     ) -> None:
         for name, some in (("states", states), ("inputs", inputs)):
             if not some:
-                raise ValueError(f"{name} is empty: there has to be one at least")
+                raise ValueError(f"{name} is empty: declare at least one")
         self.time_step, self.horizon = time_step, horizon
         self.criteria, self.outputs = (), ()  # not yet needed for checks of a robot's file
         self._set_states(dict(states), dict(targets or {}), starts)
@@ -138,7 +138,7 @@ class Declared(Task):
     ) -> None:
         """Set the states, the last of which are targets, and their starts."""
         for name in set(robot) & set(targets):
-            raise ValueError(f"targets.{name}: a state has this name")
+            raise ValueError(f"targets.{name}: a state already has this name")
         states = {**robot, **targets}
         self.states = tuple(
             Quantity(name, state.unit, state.kind, state.wraps) for name, state in states.items()
@@ -188,11 +188,11 @@ class Declared(Task):
 
     def _set_goal(self, goal: Mapping[str, str], file: str | None) -> None:
         if goal and file:
-            raise ValueError("one of goal and reference is to be given")
+            raise ValueError("give only one of goal and reference")
         self._reference, self._goals = None, self.states
         if not goal and file is None:
             if self.targets:
-                raise ValueError("targets: a goal, or outputs of a goal, have to depend on them")
+                raise ValueError("targets: a goal, or outputs of a goal, must depend on them")
             return
         means = dict(zip((each.name for each in self.targets), self.targets_in(self.start_mean), strict=True))
         seconds = self.horizon * self.time_step
@@ -201,7 +201,7 @@ class Declared(Task):
         known |= {state.name: (i, state) for i, state in enumerate(self.states)}
         for name in self._reference.names:
             if name not in known:
-                raise ValueError(f"goal: no state or output is called {name}; there is {', '.join(known)}")
+                raise ValueError(f"goal: no state or output is called {name}; available: {', '.join(known)}")
         aimed = [known[name] for name in self._reference.names]
         self._aimed, self._goals = [index for index, _ in aimed], tuple(quantity for _, quantity in aimed)
         if self.criteria:
@@ -215,12 +215,12 @@ class Declared(Task):
     ) -> None:
         self._success = None
         if bool(success) != (hold is not None):
-            raise ValueError("success and hold are to be given together")
+            raise ValueError("give success and hold together")
         if not success or hold is None:
             return
         if hold > self.horizon * self.time_step:
             raise ValueError(
-                f"hold is {hold:g} s, and an episode {self.horizon * self.time_step:g} s: none can succeed"
+                f"hold is {hold:g} s, but an episode {self.horizon * self.time_step:g} s: none can succeed"
             )
         names = success_names(self._known["variables"], self._goals)
         measures = self._measures("success", success, names)
@@ -233,7 +233,7 @@ class Declared(Task):
         for key, start in self._starts.means.items() if len(times) > self.horizon else ():
             if not self.succeeds(start[None]):
                 raise ValueError(
-                    f"{key}: hold is a whole episode, and {self.missed(start[None])} at its start"
+                    f"{key}: hold is a whole episode, but {self.missed(start[None])} at its start"
                 )
 
     def _measures(self, key: str, conditions: Mapping[str, Failure], names: Sequence[str]) -> Expressions:

@@ -53,7 +53,7 @@ def read_model(file: str, actuators: Sequence[str] = ()) -> Any:
         return _spec(path, actuators).compile()
     except Exception as error:  # MuJoCo's, of many types
         told = words(error)
-        hint = " (no geometry is needed to move: visual and collision may be removed)" * ("package:/" in told)
+        hint = " (motion needs no geometry: visual and collision may be removed)" * ("package:/" in told)
         raise ValueError(f"{file}: {told}{hint}") from error
 
 

@@ -73,11 +73,11 @@ class Mechanism:
         _check(actuators, motors, "actuators", file)
         for name in known:
             if name not in joints:
-                raise ValueError(f"{file}: joint {name}: all joints have to be states")
+                raise ValueError(f"{file}: joint {name}: all joints must be states")
         for order in task.joints:
             if sorted(joints) == sorted(order) and joints != list(order):
                 raise ValueError(
-                    f"joints: {', '.join(joints)} are not in the order of task.figure or task.sensors, "
+                    f"joints: {', '.join(joints)} must be in the order of task.figure or task.sensors, "
                     f"{', '.join(order)}"
                 )
         self.joints = tuple(joints)

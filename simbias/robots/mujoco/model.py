@@ -62,7 +62,7 @@ class Mujoco(Nominal):
         if robot.hidden:
             raise ValueError(
                 f"{file}: actuators with a state of their own are not supported: {', '.join(robot.hidden)}; "
-                "take away timeconst or dyntype"
+                "remove timeconst or dyntype"
             )
         self._robot = robot.with_values(changes(robot.model, values or {}, factors or {}))
         self._model = EngineModel(self._robot.model)
@@ -71,7 +71,7 @@ class Mujoco(Nominal):
         spreads = changes(self._robot.model, uncertainty or {}, {})
         for name in spreads:
             if self._robot.shares.get(name) == 0.0:
-                raise ValueError(f"uncertainty: {name} is set to zero")
+                raise ValueError(f"uncertainty: {name} is set to zero, so it cannot be uncertain")
         known = values_of(self._robot.model, "*") | self._robot.shares
         units = {name: unit_of(self._robot.model, name) for name in known}
         self.parameters = uncertain(known, units, spreads)
@@ -85,7 +85,7 @@ class Mujoco(Nominal):
             If x or u holds symbols, as when tracing a policy that predicts with this model.
         """
         if object in (x.dtype, u.dtype):
-            raise TypeError("the policy predicts by MuJoCo's engine, which is no formula")
+            raise TypeError("the policy predicts with MuJoCo's engine, which has no formula")
         leading = np.broadcast_shapes(x.shape[:-1], u.shape[:-1])
         x, u = (np.broadcast_to(a, (*leading, a.shape[-1])).reshape(-1, a.shape[-1]) for a in (x, u))
         x_next = np.full_like(x, np.nan)

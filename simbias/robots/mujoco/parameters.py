@@ -141,7 +141,7 @@ def values_of(model: Any, pattern: str) -> dict[str, float]:
     if not found:
         kinds = ", ".join(f"{quantity.element}.{kind}" for kind, quantity in QUANTITIES.items())
         names = ", ".join(name for each in ("body", "joint", "actuator") for name in names_of(model, each))
-        raise ValueError(f"no parameter is called {quote(pattern)}; there is {kinds}; of {names}")
+        raise ValueError(f"no parameter is called {quote(pattern)}; available: {kinds}, for {names}")
     return found
 
 

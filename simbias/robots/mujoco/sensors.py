@@ -49,15 +49,15 @@ class Sensors:
         self._places: list[int] = []
         for name in told if source.sensors is None else source.sensors:
             if name not in told:
-                why = "measures forces or accelerations" if name in known else "is not there"
-                raise ValueError(f"{source.file}: sensor {quote(name)} {why}; there is {', '.join(told)}")
+                why = "measures forces or accelerations" if name in known else "does not exist"
+                raise ValueError(f"{source.file}: sensor {quote(name)} {why}; available: {', '.join(told)}")
             first, size = int(known[name].adr[0]), int(known[name].dim[0])
             sizes.append((name, size))
             self._places += range(first, first + size)
         sites = {model.site(i).name: i for i in range(model.nsite)}
         for name in source.sites or ():
             if name not in sites:
-                raise ValueError(f"{source.file}: no site {quote(name)}; there is {', '.join(sites)}")
+                raise ValueError(f"{source.file}: no site {quote(name)}; available: {', '.join(sites)}")
             sizes.append((name, 3))
         self._sites = [sites[name] for name in source.sites or ()]
         self.names = [name if size == 1 else f"{name}[{i}]" for name, size in sizes for i in range(size)]
