@@ -99,7 +99,7 @@ def hyperparameters(
     if input_scale is None:
         for each, limit in zip(task.inputs, task.input_limit.tolist(), strict=True):
             if not np.isfinite(limit):
-                raise ValueError(f"{each.name} has no limit to scale it: declare it, or a GP's input_scale")
+                raise ValueError(f"{each.name} has no limit to scale by: declare one, or a GP's input_scale")
         input_scale = [1.0] * len(task.states) + list(task.input_limit)
     for name, values in (("length_scale", length_scale), ("input_scale", input_scale)):
         if not isinstance(values, float | int) and len(values) != r:

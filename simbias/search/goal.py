@@ -38,7 +38,7 @@ def resting_goal(task: Task) -> Array | None:
     named = dict(zip((each.name for each in task.goals), goal[0], strict=True))
     x = np.array([named.get(state.name, 0.0) for state in task.states])
     if not np.allclose(wrapped(task.aim(x) - goal[0], task.goals), 0.0):
-        words = f"LQR regulates to zero: the goal is about outputs ({', '.join(named)}), not states"
+        words = f"LQR regulates to zero, because the goal is for outputs ({', '.join(named)}), not states"
         warnings.warn(words, SlowWarning, stacklevel=2)
         return None
     return x if x.any() else None

@@ -34,11 +34,11 @@ ALIKE = 0.5  # of the squared inputs: allowed squared error of a policy there
 DIGITS = 9  # decimals of states at rest, in their units
 NO_ERRORS = (
     "{} cannot hold the goal as LQR does, so it regulates to zero: its outputs are not zero at the goal "
-    "(position - 0.5 is), and it has no constant (dynamic_output_feedback, policy.constant)"
+    "(position - 0.5 is), and it has no constant (as policy.constant of dynamic_output_feedback)"
 )
 STEADY_INPUT = (
-    "{} has no constant for the steady input that holds the robot, so it rests elsewhere "
-    "(dynamic_output_feedback, policy.constant; or method=lqi)"
+    "{} has no constant for the steady input that holds the robot, so it rests elsewhere; "
+    "use policy.constant of dynamic_output_feedback, or method=lqi"
 )
 
 
@@ -71,10 +71,10 @@ def lqr_candidates(model: Model, count: int) -> Iterator[Array]:
 def why_none(model: Model, regulator: str, integral: bool = False) -> str:
     """Why no policy imitates a model's regulator, with or without an integral."""
     if model.task.targets:
-        return "targets ask for another regulator at each start"
+        return "targets need another regulator at each start"
     policy = type(model.policy).__name__
     if integral and not model.policy.integrated(np.zeros(len(model.task.states))).size:
-        return f"{policy} integrates nothing (dynamic_output_feedback, policy.integral_rate above 0)"
+        return f"{policy} integrates nothing; use dynamic_output_feedback with policy.integral_rate above 0"
     return f"{policy} imitates {regulator}, or the model has none"
 
 

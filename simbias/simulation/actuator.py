@@ -36,7 +36,7 @@ def taps_of(delay: float, time_step: float) -> int:
     """The number of earlier inputs needed for delays up to `delay` s; ValueError if it is too large."""
     taps = math.ceil(delay / time_step - 1e-9)
     if taps > MOST_TAPS:
-        raise ValueError(f"a delay of up to {delay:g} s is {taps} frames; at most {MOST_TAPS} are remembered")
+        raise ValueError(f"a delay of up to {delay:g} s is {taps} frames; at most {MOST_TAPS} are possible")
     return taps
 
 

@@ -48,7 +48,7 @@ def _say_what_is_slow(model: Model) -> None:
     reasons = "; ".join(part.why_not for part in parts_of(model) if part.kernel is None)
     message = (
         f"simulated in NumPy, up to 500 times slower than compiled, as it cannot be compiled: {reasons}; "
-        "simbias/simulation/compiler/kernels.py tells what can"
+        "see simbias/simulation/compiler/kernels.py for what can"
     )
     warnings.warn(message, SlowWarning, stacklevel=3)
 

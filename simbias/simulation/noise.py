@@ -86,7 +86,7 @@ class Sensor:
         names = [state.name for state in task.states]
         unknown = sorted(set(offsets) - set(names))
         if unknown:
-            raise ValueError(f"no state is called {', '.join(unknown)}; there is {', '.join(names)}")
+            raise ValueError(f"no state is called {', '.join(unknown)}; available: {', '.join(names)}")
         self._offset = np.array([offsets.get(name, 0.0) for name in names])
         self._delay = delay
 

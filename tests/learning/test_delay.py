@@ -63,7 +63,7 @@ def test_a_delay_beyond_the_longest_is_told(study: Study) -> None:
     inside, beyond = (study.identified([late_pendulum(study, each, 60)]).oddity() for each in (2.0, 3.5))
     assert inside is None
     assert beyond is not None
-    assert beyond[1].endswith("(0.06 s), so they may be later: raise identification.longest")
+    assert beyond[1].endswith("(0.06 s), so the true one may be longer; raise identification.longest")
 
 
 class Pendulum(Nominal):

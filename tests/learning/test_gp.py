@@ -127,7 +127,7 @@ def test_an_input_without_a_limit_needs_a_scale() -> None:
     task = PointMass()
     task.input_limit = np.array([np.inf])
     for component in GaussianProcess, LeastSquaresDensity, Delay:
-        with pytest.raises(ValueError, match=r"^force has no limit to scale it: declare it, or "):
+        with pytest.raises(ValueError, match=r"^force has no limit to scale by: declare one, or "):
             component(task)
     GaussianProcess(task, input_scale=[1.0, 1.0, 10.0])
 

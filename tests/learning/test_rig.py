@@ -185,21 +185,21 @@ def test_recordings_that_are_fitted_together_have_their_own_zeros(fitted: Identi
 def test_a_known_posterior_has_a_number_for_each_parameter(study: Study) -> None:
     known = Identified.of_prior(study.nominal).known
     for wrong in (replace(known, mode=known.mode[:1]), replace(known, spread=known.spread[:1])):
-        with pytest.raises(ConfigError, match=r"known: mode and spread are not of 11 parameters"):
+        with pytest.raises(ConfigError, match=r"known: mode and spread must be for 11 parameters"):
             KnownPrior(study.nominal, wrong)
 
 
 def test_what_the_task_has_not_is_told(study: Study) -> None:
     for motors, sensors, words in (
-        ({"tau3": Motor(0.1)}, {}, "motors: no tau3; there is tau1, tau2"),
-        ({}, {"angle": Sensor(0.1)}, "sensors: no angle; there is pos1"),
+        ({"tau3": Motor(0.1)}, {}, "motors: no tau3; available: tau1, tau2"),
+        ({}, {"angle": Sensor(0.1)}, "sensors: no angle; available: pos1"),
         ({"tau1": Motor(load=0.1)}, {}, "motors.tau1.velocity: missing"),
-        ({"tau1": Motor(load=0.1, velocity="v")}, {}, "motors: no v; there is pos1"),
+        ({"tau1": Motor(load=0.1, velocity="v")}, {}, "motors: no v; available: pos1"),
         ({"tau1": Motor(delay=1.0)}, {}, "a delay of up to 4 s is 2000 frames"),
     ):
         with pytest.raises(ValueError, match=words):
             Posterior(study.task, motors=motors, sensors=sensors)
-    with pytest.raises(ConfigError, match=r"^identification: motors: no force; there is tau1, tau2$"):
+    with pytest.raises(ConfigError, match=r"^identification: motors: no force; available: tau1, tau2$"):
         simbias.load(["preset=double_pendulum", "identification=cartpole_swingup"])
-    with pytest.raises(ValueError, match=r"identification\.each: no load; there is mass_1, "):
+    with pytest.raises(ValueError, match=r"identification\.each: no load; available: mass_1, "):
         Rig(study.task, study.nominal, {}, {}, each=["load"])

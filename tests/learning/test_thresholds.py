@@ -50,7 +50,7 @@ def test_a_criterion_of_the_tasks_own_has_another_name(study: Study) -> None:
     for name in ("residual", "other_failure"):
         task = copy(study.task)
         task.criteria = (task.criteria[0]._replace(name=name),)
-        with pytest.raises(ValueError, match=f"is called {name}, as one of the samples' own"):
+        with pytest.raises(ValueError, match=f"has a criterion {name}, a name that samples use"):
             Thresholds(task)
 
 

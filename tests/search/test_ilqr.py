@@ -83,7 +83,7 @@ def test_a_cart_pole_is_swung_up_and_the_policy_does_it_again(
     monkeypatch.setattr(Shooting, "plan", lambda self, rng: plan)
     few = replace(model, policy=Trajectory(cartpole.task, model.nominal, 11))
     with pytest.warns(
-        SlowWarning, match=r"followed by policy.knots=11 it .*; policy.knots=101 is one a frame"
+        SlowWarning, match=r"followed with policy.knots=11 it .*; policy.knots=101 has one per frame"
     ):
         next(trajectory_candidates([few], 1))
 
@@ -188,7 +188,7 @@ def test_to_a_goal_that_moves_one_plan_begins_at_rest(monkeypatch: pytest.Monkey
     begun = list[np.random.Generator | None]()
     monkeypatch.setattr(Shooting, "plan", lambda self, rng: begun.append(rng))
     moving = simbias.load(["preset=arm_eight", "tracking=none"])
-    with pytest.raises(ConfigError, match=r"the model fails from its start \(.*\) whatever inputs"):
+    with pytest.raises(ConfigError, match=r"the model fails from its start \(.*\), whichever inputs"):
         next(trajectory_candidates([moving.first_model()], 3))
     assert begun == [None]
 

@@ -142,7 +142,7 @@ class Aimed(Elsewhere):
 
 def test_goals_are_placed_among_the_states_and_those_of_outputs_are_told() -> None:
     np.testing.assert_array_equal(resting_goal(Aimed(1.0)), [0.3, 0.0])
-    with pytest.warns(SlowWarning, match=r"regulates to zero: the goal is about outputs \(position\)"):
+    with pytest.warns(SlowWarning, match=r"regulates to zero, because the goal is for outputs \(position\)"):
         assert resting_goal(Aimed(2.0)) is None
 
 
@@ -213,9 +213,7 @@ def test_what_has_no_lqr_has_no_policies_and_searches_say_so() -> None:
     assert list(lqr_candidates(point_mass(policy=Gain), 0)) == []
     to_a_target = point_mass()
     to_a_target.task.targets = (Quantity("place", "m"),)
-    with pytest.warns(
-        SlowWarning, match="begin without LQR: targets ask for another regulator at each start"
-    ):
+    with pytest.warns(SlowWarning, match="begin without LQR: targets need another regulator at each start"):
         assert list(lqr_candidates(to_a_target, 3)) == []
 
 
@@ -343,7 +341,7 @@ def test_what_cannot_be_is_named(cartpole: Study) -> None:
         run_trial(lqi)  # before it begins
     for method, key in (("lqr", "method"), ("direct_search_lqr", r"method\.begin")):
         moving = simbias.load(["preset=reacher", "~method.target_cost", "tracking=none", f"method={method}"])
-        with pytest.raises(ConfigError, match=f"^{key}: targets ask for another regulator at each start"):
+        with pytest.raises(ConfigError, match=f"^{key}: targets need another regulator at each start"):
             moving.method.check(moving)
-    with pytest.raises(ValueError, match=r"^outputs: none is called speed; there are position"):
+    with pytest.raises(ValueError, match=r"^outputs: none is called speed; available: position"):
         IntegralFeedback(cartpole.task, outputs=["speed"])

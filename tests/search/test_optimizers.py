@@ -193,7 +193,7 @@ def test_more_parameters_than_an_algorithm_takes_are_one_line() -> None:
     hybrid = make("hybrid", exploration="sobol")
     for optimizer, p, message in (
         (make("GN_ORIG_DIRECT", max_evaluations=10), 1000, "^optimizer: GN_ORIG_DIRECT fails with 1000 para"),
-        (hybrid, 21_202, "^optimizer.exploration: sobol takes 21201 parameters at most, not 21202"),
+        (hybrid, 21_202, "^optimizer.exploration: sobol takes at most 21201 parameters, got 21202"),
     ):
         with one_line(message):
             minimize(optimizer, lambda x: 1.0, -np.ones(p), np.ones(p), target_cost=0.5)

@@ -144,7 +144,7 @@ def test_nothing_is_read_from_a_folder_of_another_user(tmp_path: Path, monkeypat
         assert compilation._folder() == private / "closed_loops"
     monkeypatch.setenv("XDG_CACHE_HOME", "/proc/nowhere")
     private.chmod(0o777)
-    with pytest.raises(OSError, match="is another user's; XDG_CACHE_HOME names a folder"):
+    with pytest.raises(OSError, match="is another user's; set XDG_CACHE_HOME to a folder"):
         compilation._folder()
     private.rename(tmp_path / "other")
     private.symlink_to("other")

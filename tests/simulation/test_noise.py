@@ -46,7 +46,7 @@ def test_draws_do_not_depend_on_the_variances(study: Study) -> None:
 
 
 def test_what_the_task_has_not_is_an_error_and_zeros_are_silent(study: Study) -> None:
-    with pytest.raises(ConfigError, match=r"^hardware: no noise is called colour_variance; there is torque_"):
+    with pytest.raises(ConfigError, match=r"^hardware: no noise is called colour_variance; available: tor"):
         simbias.load(["tracking=none", "+hardware.noise.colour_variance=0.1"])
     assert Noise(study.task, {}).is_silent
     assert Noise(study.task, {"torque_variance": 0.0}).is_silent

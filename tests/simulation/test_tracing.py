@@ -223,28 +223,31 @@ def by_mask(x: Array, u: Array) -> Array:
 
 
 WHY: list[tuple[Callable[[Array, Array], Array], str]] = [
-    (lambda x, u: x if x[0, 0] > 0 else u, "it decides by a value"),
-    (lambda x, u: np.sort(x, axis=-1), "np.sort: it decides by a value"),
-    (lambda x, u: np.choose(x > 0, [x, u]), "np.choose of values is not known"),
-    (lambda x, u: np.clip(x, -1, 1, out=np.empty_like(x)), "np.clip: out= is not known"),
-    (lambda x, u: u.clip(-1, out=np.empty_like(x)), "np.clip: out= is not known"),
+    (lambda x, u: x if x[0, 0] > 0 else u, "it branches on a value"),
+    (lambda x, u: np.sort(x, axis=-1), "np.sort: it branches on a value"),
+    (lambda x, u: np.choose(x > 0, [x, u]), "np.choose of values is not supported"),
+    (lambda x, u: np.clip(x, -1, 1, out=np.empty_like(x)), "np.clip: out= is not supported"),
+    (lambda x, u: u.clip(-1, out=np.empty_like(x)), "np.clip: out= is not supported"),
     (lambda x, u: u * np.min(x, axis=-1, keepdims=True, initial=9.0), "np.min: np.minimum: initial= is not"),
-    (lambda x, u: np.add(x, u, where=np.array(True)), "np.add: where= is not known"),
-    (lambda x, u: x + np.zeros_like(x, int), "np.zeros_like: dtype= is not known"),
+    (lambda x, u: np.add(x, u, where=np.array(True)), "np.add: where= is not supported"),
+    (lambda x, u: x + np.zeros_like(x, int), "np.zeros_like: dtype= is not supported"),
     (lambda x, u: np.interp(x, [0, 1], u[0, :2]), "np.interp: a table of values"),
-    (lambda x, u: np.exp(x > 0), "np.exp of conditions is not known"),
-    (into_numbers, "it needs a value"),
-    (lambda x, u: CubicSpline(np.arange(9), np.arange(9) ** 2)(x), "it needs a value"),
+    (lambda x, u: np.exp(x > 0), "np.exp of conditions is not supported"),
+    (into_numbers, "it needs a number"),
+    (lambda x, u: CubicSpline(np.arange(9), np.arange(9) ** 2)(x), "it needs a number"),
     (by_mask, "IndexError: "),
-    (lambda x, u: x + x.mean(axis=0), "for several rollouts at once it gives other numbers than for each"),
-    (lambda x, u: x + (x.dtype == float), "what was written down gives other numbers"),
+    (
+        lambda x, u: x + x.mean(axis=0),
+        "for several rollouts at once it gives other numbers than",
+    ),
+    (lambda x, u: x + (x.dtype == float), "its compiled form gives other numbers"),
     (lambda x, u: x + sum(np.sin(x + u + i) for i in range(MOST)), f"it takes more than {MOST} operations"),
-    (lambda x, u: x + np.random.default_rng().normal(size=3), "it gives other numbers when it is asked"),
+    (lambda x, u: x + np.random.default_rng().normal(size=3), "it gives other numbers when it is called"),
     (lambda x, u: {}["mass"], "KeyError: 'mass'"),
-    (lambda x, u: x / (u - u), "it gives what is not finite at most states"),
-    (lambda x, u: x[..., :2], r"of one row it gives the shape \(1, 2\), not \(1, 3\)"),
-    (lambda x, u: np.frexp(x)[0], "np.frexp of values is not known"),
-    (lambda x, u: x.astype(int), "it makes whole numbers, conditions or single precision"),
+    (lambda x, u: x / (u - u), "its values are not finite at most states"),
+    (lambda x, u: x[..., :2], r"for one row it gives the shape \(1, 2\), not \(1, 3\)"),
+    (lambda x, u: np.frexp(x)[0], "np.frexp of values is not supported"),
+    (lambda x, u: x.astype(int), "it turns values into whole numbers, conditions or single precision"),
     (lambda x, u: (x * 1j).imag, "it computes with complex numbers"),
 ]
 
@@ -258,7 +261,7 @@ def test_what_only_numpy_can_run_says_why() -> None:
 
 def test_what_a_model_remembers_of_the_attempt_is_forgotten() -> None:
     model = Counting()
-    assert "it gives other numbers when it is asked again" in of_nominal(model, points).why_not
+    assert "it gives other numbers when it is called again" in of_nominal(model, points).why_not
     assert model.calls == 0
 
 

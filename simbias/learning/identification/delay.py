@@ -124,14 +124,14 @@ class Late(Nominal):
         if not self.at_longest:
             return None
         return "the motors may be later than identification.longest", (
-            f"the most probable delay of the motors is the longest that is considered ({self.delay:g} s), "
-            "so they may be later: raise identification.longest"
+            f"the most probable delay of the motors is the longest considered ({self.delay:g} s), "
+            "so the true one may be longer; raise identification.longest"
         )
 
     def _put_behind(self, nominal: Nominal) -> None:
         """Put this model behind the motors."""
         if nominal.state_size:
-            raise ValueError("identification=delay: the nominal model has lag and delay of its own")
+            raise ValueError("identification=delay: the nominal model has its own lag and delay")
         self._nominal, self.parameters = nominal, nominal.parameters
         mechanics = of_nominal(nominal, partial(points_of, self._task)).kernel
         self.kernel = None if mechanics is None else self._actuators.before(mechanics)

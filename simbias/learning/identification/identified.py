@@ -171,14 +171,14 @@ class KnownPrior(Nominal):
     def __init__(self, nominal: Nominal, known: Known) -> None:
         names = [parameter.name for parameter in nominal.parameters]
         if names != known.parameters:
-            problem = f"is of {', '.join(known.parameters)}; the nominal model's parameters are "
+            problem = f"is for {', '.join(known.parameters)}; the nominal model's parameters are "
             raise ConfigError("identification.known", problem + (", ".join(names) or "none"))
         if [len(known.mode), len(known.spread), *map(len, known.spread)] != [len(names)] * (2 + len(names)):
-            raise ConfigError("identification.known", f"mode and spread are not of {len(names)} parameters")
+            raise ConfigError("identification.known", f"mode and spread must be for {len(names)} parameters")
         declared = [_declared(parameter) for parameter in nominal.parameters]
         for name, before, now in zip(names, known.declared or declared, declared, strict=True):
             if before != now:
-                problem = f"is of {name} declared as {before}; it is {now}"
+                problem = f"is for {name} declared as {before}; it is now {now}"
                 raise ConfigError("identification.known", problem)
         self._nominal = nominal
         self._mode, self._spread = np.array(known.mode), np.array(known.spread)

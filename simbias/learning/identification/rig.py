@@ -92,7 +92,7 @@ class Rig(Nominal):
         states, inputs = _names(task.states), _names(task.inputs)
         _check_names(each, _names(nominal.parameters), "identification.each")
         if motors and nominal.state_size:
-            raise ValueError("identification.motors: the nominal model has lag and delay of its own")
+            raise ValueError("identification.motors: the nominal model has its own lag and delay")
         stronger = any(motor.may_exceed_commands for motor in motors.values())
         self.mechanics = nominal.without_input_limits() if stronger else nominal  # between motors and sensors
         self._time_step = task.time_step
@@ -206,7 +206,7 @@ def check_signals(task: Task, motors: Mapping[str, Motor], sensors: Mapping[str,
     _check_names([motor.velocity for motor in motors.values() if motor.velocity], states, "motors")
     for name, motor in motors.items():
         if (motor.stribeck or motor.load) and motor.velocity is None:
-            raise ValueError(f"motors.{name}.velocity: missing; friction brakes a velocity")
+            raise ValueError(f"motors.{name}.velocity: missing; stribeck and load need it")
     _taps(task, motors)
 
 
@@ -217,7 +217,7 @@ def _names(signals: Sequence[Quantity | Parameter]) -> list[str]:
 def _check_names(named: Sequence[str] | Mapping[str, object], known: Sequence[str], key: str) -> None:
     unknown = sorted(set(named) - set(known))
     if unknown:
-        raise ValueError(f"{key}: no {', '.join(unknown)}; there is {', '.join(known)}")
+        raise ValueError(f"{key}: no {', '.join(unknown)}; available: {', '.join(known)}")
 
 
 def _taps(task: Task, motors: Mapping[str, Motor]) -> int:

@@ -64,9 +64,10 @@ class Thresholds(Samples):
         names = [criterion.name for criterion in task.criteria]
         unknown = sorted(set(limits or {}) - set(names))
         if unknown:
-            raise ValueError(f"limits names no criterion of the task: {', '.join(unknown)}; it has {names}")
+            known = ", ".join(names)
+            raise ValueError(f"limits: the task has no criterion {', '.join(unknown)}; available: {known}")
         if taken := sorted({RESIDUAL, OTHERS} & set(names)):
-            raise ValueError(f"a criterion of the task is called {taken[0]}, as one of the samples' own")
+            raise ValueError(f"the task has a criterion {taken[0]}, a name that samples use themselves")
         self._task = task
         self._stride = frames_in(stride, task.time_step)
         self._limits = {c.name: c.limit for c in task.criteria} | dict(limits or {})

@@ -77,7 +77,7 @@ def search_sobol(evaluations: Evaluations, rng: np.random.Generator) -> str:
 
     p, most = len(evaluations.lower), qmc.Sobol.MAXDIM
     if p > most:
-        raise ConfigError("optimizer.exploration", f"sobol takes {most} parameters at most, not {p}")
+        raise ConfigError("optimizer.exploration", f"sobol takes at most {most} parameters, got {p}")
     sequence = qmc.Sobol(p, scramble=True, rng=rng)
     width = evaluations.upper - evaluations.lower
     while True:

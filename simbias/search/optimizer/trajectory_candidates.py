@@ -62,7 +62,7 @@ def trajectory_candidates(
     inputs = ", ".join(f"{each.name} from {least:g} to {most:g} {each.unit}" for each, least, most in limits)
     means = zip(task.states, task.start_mean, strict=True)
     start = ", ".join(f"{each.name} {mean:g} {each.unit}" for each, mean in means if mean) or "all states 0"
-    problem = f"the model fails from its start ({start}) whatever inputs a trajectory begins with: {inputs}"
+    problem = f"the model fails from its start ({start}), whichever inputs a trajectory begins with: {inputs}"
     raise ConfigError("method.trajectories", problem)
 
 
@@ -72,7 +72,7 @@ def follower(task: Task, policy: Policy) -> Trajectory:
         problem = f"{type(policy).__name__} follows no trajectory; policy=trajectory does"
         raise ConfigError("method.trajectories", problem)
     if policy.resting and moves(goal_along(task)):
-        raise ConfigError("policy.resting", "the task's goal moves; a plan rests at one that does not")
+        raise ConfigError("policy.resting", "must be 0: a plan cannot rest at a goal that moves")
     return policy
 
 
@@ -81,7 +81,7 @@ def _warn_of_few_knots(plan: Plan, followed: Plan | None, knots: int, frames: in
     if followed is None or followed.cost > DEARER * plan.cost:
         then = "fails" if followed is None else f"costs {followed.cost:.3g}"
         message = (
-            f"a plan costs {plan.cost:.3g} in simulation, but followed by policy.knots={knots} it {then}; "
-            f"policy.knots={frames + 1} is one a frame"
+            f"a plan costs {plan.cost:.3g} in simulation, but followed with policy.knots={knots} it {then}; "
+            f"policy.knots={frames + 1} has one per frame"
         )
         warnings.warn(message, SlowWarning, stacklevel=3)

@@ -14,8 +14,8 @@ from simbias.simulation.compiler.symbols import TraceError
 ROWS = 32  # of points
 AGREEMENT = 1e-9  # relative, between a traced kernel and the method
 FRAMES = 100  # over which a policy with a state is compared with its kernel
-OTHERWISE = "what was written down gives other numbers"
-MIXED = "for several rollouts at once it gives other numbers than for each"
+OTHERWISE = "its compiled form gives other numbers"
+MIXED = "for several rollouts at once it gives other numbers than for each alone"
 FARTHEST = 1e3  # beyond this policy state, it is reset: sines of larger angles are mere rounding
 
 Points = Callable[[], tuple[Array, Array]]  # draws states (ROWS, n) and inputs (ROWS, m)
@@ -55,12 +55,12 @@ def compare(method: Callable, arguments: Sequence[Array], made: Sequence[Sequenc
     for index, (one, other, values) in enumerate(zip(first, again, made, strict=True)):
         expected = np.asarray(one, np.float64)
         if not np.array_equal(expected, other, equal_nan=True):
-            raise TraceError("it gives other numbers when it is asked again")
+            raise TraceError("it gives other numbers when it is called again")
         traced = rows(values)
         if expected.shape != traced.shape:
-            raise TraceError(f"of {ROWS} rows it gives the shape {expected.shape}, not {traced.shape}")
+            raise TraceError(f"for {ROWS} rows it gives the shape {expected.shape}, not {traced.shape}")
         if not np.isfinite(expected).all(axis=1).sum() >= ROWS // 2:
-            raise TraceError("it gives what is not finite at most states near the start")
+            raise TraceError("its values are not finite at most states near the start")
         if len(wrong := _unlike(traced, expected)):
             row = slice(wrong[0], wrong[0] + 1)
             alone = method(*(each[row].copy() for each in arguments))

@@ -119,7 +119,7 @@ class _Parser:
             return self._node(parsed)
         except (SyntaxError, MemoryError, RecursionError, OverflowError) as error:
             why = error.msg if isinstance(error, SyntaxError) else "too large"
-            raise ValueError(f"{name}: {quote(text)} is no expression: {why}") from error
+            raise ValueError(f"{name}: {quote(text)} is not an expression: {why}") from error
         except _NotAllowedError as error:
             raise ValueError(f"{name}: {quote(text)}: {error}") from error
 
@@ -144,7 +144,7 @@ class _Parser:
             case ast.Name() | ast.Subscript():
                 name = ast.unparse(node)
                 if name not in self._names:
-                    raise _NotAllowedError(f"nothing is called {name}; there is {', '.join(self._names)}")
+                    raise _NotAllowedError(f"nothing is called {name}; available: {', '.join(self._names)}")
                 return self._names[name]
             case ast.UnaryOp(op=ast.USub() | ast.UAdd() as sign, operand=operand):
                 function = operator.neg if isinstance(sign, ast.USub) else operator.pos
@@ -166,7 +166,7 @@ class _Parser:
         if name in functions:
             return _applied(functions[name], *arguments)
         raise _NotAllowedError(
-            f"there is no {name} of {len(arguments)} values; an expression may use {ALLOWED}"
+            f"{name} of {len(arguments)} values is not allowed; an expression may use {ALLOWED}"
         )
 
 
@@ -174,7 +174,7 @@ def _number(value: float) -> Value:
     """A finite number as a constant value."""
     number = np.float64(value)
     if not math.isfinite(number):
-        raise _NotAllowedError("numbers have to be finite")
+        raise _NotAllowedError("numbers must be finite")
     return lambda known: number
 
 

@@ -31,12 +31,12 @@ class Symbols(np.ndarray):
     def astype(self, dtype: Any, *_: Any, copy: bool = True, **__: Any) -> Any:  # type: ignore[override]
         """The elements as floating-point numbers."""
         if not _double(dtype):
-            raise TraceError("it makes whole numbers, conditions or single precision of values")
+            raise TraceError("it turns values into whole numbers, conditions or single precision")
         return _numbers(self).view(Symbols) if copy or any(_conditions(self)) else self
 
 
 for _name in ("ctypes", "data", "__array_interface__", "__array_struct__", "tobytes"):  # it holds no numbers
-    setattr(Symbols, _name, property(refusal("it hands an array to other code than NumPy's")))
+    setattr(Symbols, _name, property(refusal("it passes an array to code other than NumPy's")))
 
 
 def array(values: Any) -> Symbols:
@@ -110,7 +110,7 @@ _KNOWN = (*_PASSED_ON, "out", "casting", "order", "subok")  # the last three cha
 def applied(ufunc: np.ufunc, method: str, inputs: Sequence[Any], options: Mapping[str, Any]) -> Any:
     """Write down an elementwise function of NumPy, or a matrix product."""
     if ufunc not in _ELEMENTWISE and ufunc not in _PRODUCTS:
-        raise TraceError(f"np.{ufunc.__name__} of values is not known here")
+        raise TraceError(f"np.{ufunc.__name__} of values is not supported")
     _check_options(ufunc, options)
     trace = _trace_of(inputs)
     passed_on = {name: options[name] for name in _PASSED_ON if name in options}
@@ -140,7 +140,7 @@ def _check_options(ufunc: np.ufunc, options: Mapping[str, Any]) -> None:
         if option == "dtype":
             known = _double(value) or ufunc in (np.logical_and, np.logical_or)  # np.any passes bool
         if not known:
-            raise TraceError(f"np.{ufunc.__name__}: {option}= is not known here")
+            raise TraceError(f"np.{ufunc.__name__}: {option}= is not supported")
 
 
 def _of_conditions(ufunc: np.ufunc, made: Any) -> Any:
@@ -150,7 +150,7 @@ def _of_conditions(ufunc: np.ufunc, made: Any) -> Any:
     except TypeError:
         dtype = np.dtype(np.float16)  # a type that NumPy would not return
     if dtype == np.float16:
-        raise TraceError(f"np.{ufunc.__name__} of conditions is not known here")
+        raise TraceError(f"np.{ufunc.__name__} of conditions is not supported")
     return _ALL_TRUE(np.asarray(made, object)) if dtype.kind == "b" else made
 
 
@@ -189,14 +189,14 @@ def called(function: Callable, arguments: Sequence[Any], options: Mapping[str, A
     try:
         if own := _FUNCTIONS.get(function):
             if unknown := [option for option in options if option not in signature(own).parameters]:
-                raise TraceError(f"{unknown[0]}= is not known here")
+                raise TraceError(f"{unknown[0]}= is not supported")
             return own(*arguments, **options)
         arguments, options = _arrays(tuple(arguments)), {key: _arrays(each) for key, each in options.items()}
         return _viewed(np.ndarray.__array_function__(_ANY, function, (Symbols,), arguments, options))
     except TraceError as error:
         raise TraceError(f"{name}: {error}") from error
     except TypeError as error:
-        raise TraceError(f"{name} of values is not known here") from error
+        raise TraceError(f"{name} of values is not supported") from error
 
 
 _ANY = np.empty(0, object).view(Symbols)
@@ -239,7 +239,7 @@ def _select(conditions: Sequence[Any], choices: Sequence[Any], default: Any = 0.
 def _full_like(a: Any, fill_value: Any, dtype: Any = None, shape: Any = None) -> Symbols:
     of_conditions = all(_conditions(a)) if dtype is None else np.dtype(dtype) == bool
     if not (of_conditions or _double(dtype)):
-        raise TraceError("dtype= is not known here")
+        raise TraceError("dtype= is not supported")
     filled = np.broadcast_to(fill_value, np.shape(a) if shape is None else shape)
     return array(_truths(filled, a) if of_conditions else filled)
 
@@ -252,7 +252,7 @@ def _filled(value: float) -> Callable:
 def _interp(x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None) -> Any:
     """Interpolation of a constant table: the row is selected, then the value is computed as in NumPy."""
     if _trace_of([xp, fp, left, right]) or np.size(xp) < 2:
-        raise TraceError("a table of values, or of one row, is not known here")
+        raise TraceError("a table of values, or of one row, is not supported")
     with np.errstate(all="ignore"):
         rows = np.array([xp[:-1], fp[:-1], np.diff(fp) / np.diff(xp)], np.float64).T
     start, value, slope = rows[0]
@@ -268,7 +268,7 @@ def _interp(x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None) -> An
 def _norm(x: Any, ord: Any = None, axis: int | None = None, keepdims: bool = False) -> Any:  # noqa: A002 (NumPy's)
     x = np.asanyarray(x)
     if ord not in (None, 2) or (ord == 2 and axis is None and x.ndim > 1) or isinstance(axis, tuple):
-        raise TraceError("this norm is not known here")
+        raise TraceError("this norm is not supported")
     return np.sqrt(np.sum(np.square(x), axis=axis, keepdims=keepdims))
 
 
@@ -276,7 +276,7 @@ def _determinant(A: Any) -> Any:
     """The determinant of matrices (..., n, n), by the first row's minors."""
     n = A.shape[-1]
     if n > ADJUGATE:
-        raise TraceError(f"the determinant of more than {ADJUGATE} rows is not known here")
+        raise TraceError(f"the determinant of more than {ADJUGATE} rows is not supported")
     if n == 1:
         return A[..., 0, 0]
     terms = [A[..., 0, j] * _cofactor(A, 0, j) for j in range(n)]

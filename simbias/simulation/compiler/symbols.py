@@ -137,10 +137,10 @@ def refusal(what: str) -> Callable:
     return refuse
 
 
-Symbol.__bool__ = refusal("it decides by a value; np.where does not")  # type: ignore[attr-defined]
+Symbol.__bool__ = refusal("it branches on a value; use np.where")  # type: ignore[attr-defined]
 _NEEDS = (
-    "it needs a value, as float(), math, np.asarray(x, float) and arrays of np.zeros do; "
-    "x.astype(float) and np.zeros_like do not"
+    "it needs a number, as float(), math, np.asarray(x, float) and arrays of np.zeros do; "
+    "use x.astype(float) and np.zeros_like"
 )
 for _name in ("float", "int", "index", "complex", "round", "trunc", "floor", "ceil"):
     setattr(Symbol, f"__{_name}__", refusal(_NEEDS))

@@ -37,7 +37,7 @@ def _written_down(table: Any, t: Symbol, spacing: float) -> Any:
         raise TraceError("a table is looked up by another value than the time")
     trace, entries = t.trace, np.asarray(table).reshape(-1, *np.shape(table)[-2:])
     if len(entries) != 1:
-        raise TraceError("of one row it looks up several tables")
+        raise TraceError("for one row it looks up several tables")
     columns = [
         [each if isinstance(each, Symbol) else trace.entry(each) for each in one] for one in entries[0].T
     ]

@@ -59,7 +59,7 @@ def of_measure(task: Task, points: Points) -> KernelOrReason:
 def of_cost(cost: Cost, task: Task) -> KernelOrReason:
     """The kernel of a cost's terms, if it has terms and depends only on their totals."""
     if not cost.reductions or type(cost).of is not Cost.of:
-        return KernelOrReason(None, f"{type(cost).__name__} says no `reductions`, or has its own `of`")
+        return KernelOrReason(None, f"{type(cost).__name__} declares no `reductions`, or has its own `of`")
 
     def find() -> KernelOrReason:
         (x, u), t = points_of(task), task.time_step * np.arange(1.0, ROWS + 1)
@@ -219,7 +219,7 @@ def _vectors(made: Any, sizes: Sequence[int], trace: Trace) -> list[list[Symbol]
     vectors = [symbols_in(each, trace) for each in made]
     for vector, size in zip(vectors, sizes, strict=True):
         if vector.shape != (1, size):
-            raise TraceError(f"of one row it gives the shape {vector.shape}, not {(1, size)}")
+            raise TraceError(f"for one row it gives the shape {vector.shape}, not {(1, size)}")
     return [list(vector[0]) for vector in vectors]
 
 
