@@ -112,7 +112,7 @@ def test_what_an_own_component_breaks_is_one_line_before_the_trial(compilable: S
             rehearse(replace(study, **{group: component(study.task)}))  # type: ignore[arg-type]
         assert str(caught.value).startswith(line)
         assert str(caught.value).isprintable()
-    said = r"slower.*: Decides.step \(test_newcomers.py:\d+: it decides by a value.*kernels.py"
+    said = r"slower.*: Decides.step \(test_newcomers.py:\d+: it branches on a value.*kernels.py"
     with pytest.warns(simbias.core.SlowWarning, match=said):
         rehearse(replace(study, nominal=Decides(study.task)))  # type: ignore[arg-type]
 

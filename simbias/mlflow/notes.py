@@ -41,9 +41,9 @@ def note(
     if rows:
         parts.append(markdown.table(COLUMNS, map(cells, rows[-SHOWN_ROWS:])).rstrip())
     if len(rows) > SHOWN_ROWS:
-        parts.append(f"The {len(rows) - SHOWN_ROWS} iterations before these are among the metrics.")
+        parts.append(f"The {len(rows) - SHOWN_ROWS} earlier iterations are among the metrics.")
     if identified := parameters(rows):
-        parts.append("Identified, of the last policy's model:")
+        parts.append("Identified parameters of the last policy's model:")
         parts += [markdown.table(PARAMETERS, identified).rstrip(), IDENTIFIED]
     return "\n\n".join([*parts, ARTIFACTS])
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from mlflow.entities import Run
 
 URI, EXPERIMENT = "sqlite:///mlflow.db", "simbias"  # defaults
-AWAY = "simbias: MLflow: %s. All is kept in %s; once the store is back, this shows it:  %s"
+AWAY = "simbias: MLflow: %s. All is kept in %s; once the store is back, show it with:  %s"
 NOT_EXPORTED = "simbias: MLflow does not show a trial: %s"
 
 Point = tuple[str, float, int, float]  # name, value, step, s since the epoch
@@ -72,7 +72,7 @@ class Runs:
             return self._connect()
         if store.file_number(self._file) != self._number:
             raise ConfigError(
-                "tracking.uri", f"{redact(self.uri, self.uri)}: the store was moved, or another put there"
+                "tracking.uri", f"{redact(self.uri, self.uri)}: the store was moved or replaced"
             )
         return self._client
 

@@ -30,18 +30,18 @@ QUIET = {
 IMPATIENT = {"MLFLOW_HTTP_REQUEST_MAX_RETRIES": "0", "MLFLOW_HTTP_REQUEST_TIMEOUT": "10"}  # seconds
 LOGGERS = ("mlflow", "alembic", "sqlalchemy.pool")  # they log errors, with tracebacks, that are also raised
 OTHER_VERSION = "of another version of MLflow; update MLflow, or make a copy and run `mlflow db upgrade URI`"
-NO_FOLDER = "MLflow no longer uses folders as stores; sqlite:///FILE works, and the address of a server"
+NO_FOLDER = "MLflow no longer uses folders as stores; use sqlite:///FILE or the address of a server"
 KNOWN = {
     "out-of-date database schema": OTHER_VERSION,
     "filesystem tracking backend": NO_FOLDER,
-    "determine home directory": "MLflow needs a home directory; HOME names one",
+    "determine home directory": "MLflow needs a home directory; set HOME",
 }
 DATABASE_SERVERS = ("postgresql", "mysql", "mssql")  # named in MLflow's documentation
 SQLITE = re.compile(r"sqlite(\+\w+)?:(//)?(/(?P<file>[^?]*))?(\?.*)?")
 ARTIFACTS = "mlartifacts"  # folder of a SQLite store's files, beside it
 MOVED = (
-    "was moved or copied: its files are in {}; delete it, and `export` makes it again, "
-    "with its tracking.uri and the tracking.trials"
+    "was moved or copied: its files are in {}; delete it, and make it again with `export`, "
+    "its tracking.uri and tracking.trials"
 )
 MAKING_SECONDS = 120.0  # that a process waits while another creates the same store
 
@@ -129,7 +129,7 @@ def _probe_database(uri: str) -> str | None:
     if not path.parent.is_dir():
         raise FileNotFoundError(f"no folder {path.parent}")
     if artifacts.exists() and not artifacts.is_dir():
-        raise NotADirectoryError(f"{artifacts} is in the place of the folder for its files")
+        raise NotADirectoryError(f"{artifacts} must be a folder, for its files")
     if not _is_made(path):
         _make(path)
     with closing(sqlite3.connect(path)) as file:
@@ -168,7 +168,7 @@ def database(uri: str) -> Path | None:
         return None
     match = SQLITE.fullmatch(uri)
     if match is None:
-        raise ConfigError("tracking.uri", f"{uri}: expected an address as sqlite:///mlflow.db")
+        raise ConfigError("tracking.uri", f"{uri}: expected an address such as sqlite:///mlflow.db")
     if match["file"] in (None, "", ":memory:"):
         raise ConfigError("tracking.uri", f"{uri}: a database in memory keeps nothing")
     path = Path(os.path.realpath(match["file"]))

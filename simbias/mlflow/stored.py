@@ -40,9 +40,9 @@ def _download(run_id: str, uri: str, folder: str) -> None:
             raise
         raise ConfigError(run_id, f"no such run in {redact(uri, uri)}, and no such folder") from error
     if "sweep" in tags:
-        raise ConfigError(run_id, "is a sweep; each of its trials is a run of its own")
+        raise ConfigError(run_id, "is a sweep; name the run of one of its trials")
     if "hash" not in tags:
-        raise ConfigError(run_id, "is no run of simbias")
+        raise ConfigError(run_id, "is not a run of simbias")
     if not any(client.list_artifacts(run_id, FOLDER)):
         raise ConfigError(run_id, "its files are not in the store")
     client.download_artifacts(run_id, FOLDER, folder)

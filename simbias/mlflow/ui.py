@@ -49,7 +49,7 @@ def _free_port(asked: int | None) -> int:
     if not _answers(port):
         return port
     if asked is not None:
-        raise ConfigError("--port", f"{port} is taken; without it, one that is free is found")
+        raise ConfigError("--port", f"{port} is taken; without --port, a free one is used")
     with socket.create_server((HOST, 0)) as free:
         return int(free.getsockname()[1])
 
@@ -61,7 +61,7 @@ def _wait_for(server: subprocess.Popen[bytes], port: int) -> None:
         if _answers(port):
             return
         time.sleep(0.1)
-    raise ConfigError("ui", f"MLflow's server does not start at port {port}; --port takes another")
+    raise ConfigError("ui", f"MLflow's server did not start at port {port}; choose another with --port")
 
 
 def _answers(port: int) -> bool:
@@ -72,6 +72,6 @@ def _answers(port: int) -> bool:
 
 def _open(address: str, uri: str = "") -> None:
     """Open a page in the browser, if there is one, and print its address without the store's login."""
-    print(f"{redact(address, uri)}  (Ctrl-C ends)", flush=True)
+    print(f"{redact(address, uri)}  (Ctrl-C stops the server)", flush=True)
     if sys.platform != "linux" or any(map(os.environ.get, DISPLAYS)):
         webbrowser.open(address)

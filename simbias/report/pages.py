@@ -42,7 +42,7 @@ def write_report(folder: Path, config_dir: Path | str | None = None, allow: Sequ
     alone = [folder] if (folder / TRIAL).is_file() or (folder / SWEEP).is_file() else []
     folders = alone or [sweep.path for sweep in sweep_folders(folder)]
     if not folders:
-        raise ConfigError(str(folder), "is the folder of no trial or sweep, as trials/7a29f4c5425f")
+        raise ConfigError(str(folder), "is not the folder of a trial or sweep, such as trials/7a29f4c5425f")
     for own in folders:  # checked before minutes of drawing
         if not os.access(own, os.W_OK):
             raise ConfigError(str(own / FILE), f"cannot be written ({os.strerror(errno.EACCES)})")
@@ -106,8 +106,8 @@ def _sweep_parts(folder: SweepFolder, description: dict) -> Iterator[str]:
     counts = Counter(state.get("outcomes", [str(each.outcome) for each in shown.values()]))  # as its table
     ended = counts.total() - counts["error"]
     yield html.paragraph(
-        f"{ended} of {len(summaries)} trials have ended; of these succeeded "
-        f"{counted_share(counts['succeeded'], ended)}.{left_out(counts.elements())}"
+        f"{ended} of {len(summaries)} trials have ended; of these, "
+        f"{counted_share(counts['succeeded'], ended)} succeeded.{left_out(counts.elements())}"
     )
     if folder.changed():
         yield html.paragraph(CHANGED)

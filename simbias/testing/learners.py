@@ -110,7 +110,7 @@ def _cost_is_finite(study: Study) -> None:
         expect_any_leading_axes(terms, "cost.terms", states(study), inputs(study), t)
 
 
-@check("cost", "who falls early pays more than Z_max")
+@check("cost", "an early fall costs more than Z_max")
 def _cost_of_failure(study: Study) -> None:
     whole = rollout(study)
     fallen = replace(

@@ -23,9 +23,7 @@ def rehearse(study: Study) -> None:
     study.method.check(study)
     task = study.task
     if (seconds := task.horizon * task.time_step) < LEAST_SECONDS:
-        problem = (
-            f"{task.horizon} frames of {task.time_step:g} s are {seconds:g} s, in which nothing can fail"
-        )
+        problem = f"{task.horizon} frames of {task.time_step:g} s are {seconds:g} s, too short for a failure"
         raise ConfigError("task.horizon", f"{problem}; at least {LEAST_SECONDS:g} s are needed")
     own = [group for group in GROUPS if is_own(getattr(study, group))]
     for verdict in verdicts(study, own):

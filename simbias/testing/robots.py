@@ -49,7 +49,7 @@ def _task_axes(study: Study) -> None:
         expect_any_leading_axes(method, f"task.{name}", states(study))
 
 
-@check("task", "the mean start is no failure, and what is not a number is one")
+@check("task", "the mean start is not a failure, but a state that is not a number is")
 def _task_failure(study: Study) -> None:
     start = study.task.start_mean
     at_start, no_number = (study.task.failure(x) for x in (start, np.full_like(start, np.nan)))
@@ -195,7 +195,7 @@ def _policy_imitates(study: Study) -> None:
         expect(np.isfinite(theta).all(), "policy.imitating", "finite numbers", theta)
 
 
-@check("hardware", "an experiment that is as its contract says (one is made)")
+@check("hardware", "an experiment as the contract says (one is run)")
 def _hardware_runs(study: Study) -> None:
     made = study.experiment(near_zero(study), np.random.default_rng(6), study.task.start_mean)
     lower, upper = study.task.input_bounds

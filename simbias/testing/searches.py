@@ -44,7 +44,7 @@ def _optimizer_minimizes(study: Study) -> None:
     equal(minimum(), best, "minimize", "the same from the same generator", 0.0)
 
 
-@check("optimizer", "what the objective raises comes through")
+@check("optimizer", "errors of the objective come through")
 def _optimizer_raises(study: Study) -> None:
     def broken(theta: Array) -> float:
         raise ZeroDivisionError
@@ -89,7 +89,7 @@ def _on_nominal_model(study: Study) -> Study:
     )
 
 
-@check("method", "counted experiments, not too many, recalled when begun again (all on the nominal model)")
+@check("method", "experiments are counted, limited, and recalled on a restart (all on the nominal model)")
 def _method_counts_and_recalls(study: Study) -> None:
     study = _on_nominal_model(study)
     made: list[Rollout] = []

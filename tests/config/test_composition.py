@@ -59,7 +59,7 @@ BAD = {  # by override: its key, and what is said of it
     "task.robot.wheel_radius=0": ("task.robot.wheel_radius", "must be greater than or equal to 0.000001"),
     "task.start.mean=[0]": ("task.start.mean", "must have at least 6 items"),
     "cost.state_weights=[1]": ("cost", "state_weights has 1 values; the task has 6"),
-    "+samples.limits.size=1": ("samples", "limits names no criterion of the task: size"),
+    "+samples.limits.size=1": ("samples", "limits: the task has no criterion size"),
     "optimizer.algorithm=GN_NONE": ("optimizer", ""),
     f"seed={'{a: ' * 300}1{'}' * 300}": ("seed=", ""),
     f"task.horizon={10**30}": ("task.horizon", ""),

@@ -65,7 +65,7 @@ def test_every_number_is_bounded_on_both_sides() -> None:
 def test_an_experiment_in_which_nothing_can_fail_is_refused() -> None:
     """Every policy would succeed; so it would in a simulated rollout. Nor may a search stand still."""
     for override in ("task.time_step=1e-6", "task.horizon=9"):
-        with pytest.raises(ConfigError, match=r"^task.*, in which nothing can fail; at least 0\.01 s"):
+        with pytest.raises(ConfigError, match=r"^task.*, too short for a failure; at least 0\.01 s"):
             rehearse(simbias.load([override, "tracking=none"]))
     with pytest.raises(ConfigError, match=r"^optimizer\.initial_deviation: "):  # CMA-ES could not begin
         simbias.load(["optimizer=cma", "optimizer.initial_deviation=5e-324", "tracking=none"])

@@ -280,7 +280,7 @@ def test_what_rounding_changes_is_no_difference() -> None:
 def test_a_policy_that_decides_by_values_says_why() -> None:
     request = of_mass(Branching)
     assert "Branching.act (test_controllers.py:" in request.why_no_code
-    assert "it decides by a value" in request.why_no_code
+    assert "it branches on a value" in request.why_no_code
     assert request.code("") == {}
     words = Policy.law(Integral(PointMass()), np.ones(1)).words
     assert words == "u = Integral.act(theta, x, t, policy_state)"

@@ -173,7 +173,7 @@ def test_what_is_wrong_is_one_line_with_row_and_column(tmp_path: Path) -> None:
             path, request = written(tmp_path, cell(2, 1, "1.1")(moving())), near
         assert refusal(path, request).startswith(message), why
     path.write_bytes(b"\xff\xfe\x00")
-    assert refusal(path).startswith("is no text in UTF-8")
+    assert refusal(path).startswith("is not UTF-8 text")
 
 
 def test_a_sensor_that_stands_still_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -271,7 +271,7 @@ def test_a_trial_is_read_back_by_its_folder_and_by_its_run(folder: Path) -> None
     sweep = client.create_run(experiment_id, tags={"hash": "abc", "sweep": "mine"}).info.run_id
     lost = client.create_run(experiment_id, tags={"hash": "abc"}).info.run_id
     missing = "no such run in sqlite:.*, and no such folder"
-    said = (missing, missing, "is no run of simbias", "is a sweep", "its files are not in the store")
+    said = (missing, missing, "is not a run of simbias", "is a sweep", "its files are not in the store")
     for name, message in zip(("0" * 32, "trials/none", foreign, sweep, lost), said, strict=True):
         with pytest.raises(ConfigError, match=f"^{name}: {message}"):
             simbias.load_trial(name, uri=uri(folder))
@@ -369,7 +369,7 @@ def test_a_server_that_is_away_loses_nothing_and_stops_nothing(
     command = f"-m simbias export tracking.uri={address} tracking.trials={trials}"
     assert shown.where.startswith(f"{at(folder, 0)}; in MLflow, once the store is back:  ")
     assert shown.where.endswith(command)
-    assert f"All is kept in {trials}; once the store is back, this shows it:  " in warning
+    assert f"All is kept in {trials}; once the store is back, show it with:  " in warning
     assert warning.endswith(command)
     with pytest.raises(ConfigError, match=rf"^tracking\.uri: {address}: "):
         export(address, trials)

@@ -61,7 +61,7 @@ def test_a_store_that_is_moved_while_a_trial_runs_is_left_alone(
     assert (record.outcome.final, len(record.iterations) > 1) == (True, True)
     assert left(folder) == {"trials"}
     (warning,) = [each.getMessage() for each in caplog.records]
-    assert "tracking.uri: sqlite:///mlflow.db: the store was moved, or another put there. All" in warning
+    assert "tracking.uri: sqlite:///mlflow.db: the store was moved or replaced. All" in warning
 
 
 def test_a_working_folder_that_is_moved_takes_the_trial_along(

@@ -63,7 +63,7 @@ def test_a_long_one_keeps_the_last_rows_within_mlflows_limit() -> None:
     text = note(rows, TrialSummary(Outcome.ERROR, "x" * 10000, experiments=2000))
     assert len(text) < 8000
     assert "| 999 |" in text
-    assert "The 960 iterations before these" in text
+    assert "The 960 earlier iterations" in text
 
 
 def test_a_sweeps_table_ends_between_two_rows_within_mlflows_limit() -> None:

@@ -87,13 +87,13 @@ def unusable(folder: Path, new_store: Path) -> Iterator[tuple[str, str]]:
     yield f"sqlite:///{folder}/missing/mlflow.db", "no folder"
     yield f"sqlite:///{folder}/text", "file is not a database"
     yield f"sqlite:///{folder}/circle", "Too many levels of symbolic links"
-    yield f"sqlite:///{folder}/taken/mlflow.db", "is in the place of the folder for its files"
+    yield f"sqlite:///{folder}/taken/mlflow.db", "must be a folder, for its files"
     yield f"sqlite:///{folder}/other", "the database of another program"
     yield f"sqlite:///{folder}/newer", "of another version of MLflow"
     yield f"sqlite:///{folder}", "unable to open database file"
     yield "sqlite://", "in memory"
     yield "sqlite:///:memory:", "in memory"
-    yield str(folder), "MLflow no longer uses folders as stores; sqlite:///FILE works"
+    yield str(folder), "MLflow no longer uses folders as stores; use sqlite:///FILE works"
     yield "foo://bar", "unsupported URI"
     yield "http://127.0.0.1:9", "refused"
     yield "http://me:secret@no-such-host.invalid", ""
@@ -119,7 +119,7 @@ def test_a_user_without_a_home_is_one_line(tmp_path: Path, monkeypatch: pytest.M
     (tmp_path / "mlflow.py").write_text("raise RuntimeError('Could not determine home directory.')")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "mlflow")
-    with one_line(r"tracking\.uri: sqlite:///mlflow\.db: MLflow needs a home directory; HOME names one"):
+    with one_line(r"tracking\.uri: sqlite:///mlflow\.db: MLflow needs a home directory; set HOME"):
         store.connect("sqlite:///mlflow.db", "mine")
 
 
@@ -184,7 +184,7 @@ def test_a_servers_page_is_opened_and_its_address_shown_without_a_password(
     monkeypatch.setattr("webbrowser.open", opened.append)
     ui.show("https://me:secret12@a.b", "#/x")
     assert opened == ["https://me:secret12@a.b/#/x"]
-    assert capsys.readouterr().out == "https://a.b/#/x  (Ctrl-C ends)\n"
+    assert capsys.readouterr().out == "https://a.b/#/x  (Ctrl-C stops the server)\n"
 
 
 def test_a_port_that_is_taken_or_none_is_named() -> None:

@@ -267,8 +267,8 @@ KNOWN = "identification.known={parameters: [moon], mode: [0], spread: [[1]]}"
 REFUSED = [
     (["~moon"], "Could not delete from config. 'moon' does not exist"),  # no recording
     (["~/moon.csv"], "~/moon.csv: no such recording (.csv, "),
-    (["identification.each=[moon]"], "identification.each: no moon; there is mass_1, "),
-    ([KNOWN], "identification.known: is of moon; the nominal model's parameters are mass_1, "),
+    (["identification.each=[moon]"], "identification.each: no moon; available: mass_1, "),
+    ([KNOWN], "identification.known: is for moon; the nominal model's parameters are mass_1, "),
     (["--into=."], ".: cannot be written (it is a folder)\n"),
     (["--seconds=0.05"], "identification.window: 0.1 s is longer than inputs of 0.05 s\n"),
     (["--seconds=0.03"], "task.time_step: 0.002 s is too long for inputs of 0.03 s, which need at least 20 "),

@@ -95,7 +95,7 @@ def test_what_files_say_is_text_and_never_markup(
     monkeypatch.setattr("simbias.report.pages.FIGURES", {})
     copy = tmp_path / trial.name
     copy.mkdir()
-    with pytest.raises(ConfigError, match="is the folder of no trial or sweep"):
+    with pytest.raises(ConfigError, match="is not the folder of a trial or sweep"):
         write_report(copy)
     for name in ("trial.json", "attempts.jsonl"):
         (copy / name).write_bytes((trial / name).read_bytes())
@@ -131,7 +131,7 @@ def test_the_page_of_a_sweep(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert f"Look at it:  {file.relative_to(tmp_path)}" in out
     html = file.read_text()
     assert self_contained(html)
-    said = ["2 of 2 trials have ended; of these succeeded", "&lt;script&gt;alert(1)&lt;/script&gt;"]
+    said = ["2 of 2 trials have ended; of these, ", "&lt;script&gt;alert(1)&lt;/script&gt;"]
     assert "Drawn from" not in html
     said += ["data:image/png;base64,", "preset=cartpole", "<th>succeeded</th>", "/1 ["]
     assert [words for words in said if words not in html] == []
@@ -163,8 +163,8 @@ def test_claims_that_a_test_contradicts_are_counted(tmp_path: Path) -> None:
     html = sweep_page(folder)
     assert "the test of the last policy contradicts 1 of 2 (9% to 91%)" in html
     write_json(tmp_path / "c" / "outcome.json", TrialSummary(Outcome.ERROR).as_json())
-    assert "succeeded 2 of 2 (34% to 100%). 1 trial raised an error and is left out." in sweep_page(folder)
+    assert "2 of 2 (34% to 100%) succeeded. 1 trial raised an error and is left out." in sweep_page(folder)
     assert escape(CHANGED) not in sweep_page(folder)
     folder.write_state({"outcomes": {"succeeded": 3}, "digest": ""})  # before one was withdrawn
-    assert "succeeded 3 of 3" in (html := sweep_page(folder))
+    assert "of these, 3 of 3" in (html := sweep_page(folder))
     assert escape(CHANGED) in html

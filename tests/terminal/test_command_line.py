@@ -129,7 +129,7 @@ def test_own_components_run(line: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("point_mass.Distance.max_cost", 100.0)
     status, out, _ = line(*own, "check", *POINT_MASS)
     assert status == 1
-    assert "task point_mass: 1 check failed" in out  # who falls early pays less
+    assert "task point_mass: 1 check failed" in out  # an early fall costs less
     shown = line(*POINT_MASS, "--cfg", "job", *own)
     for command in ("run", "check", "preview", "export"):
         assert line(command, *own, *POINT_MASS, "--cfg", "job") == shown

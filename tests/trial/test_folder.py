@@ -369,7 +369,7 @@ def test_a_folder_that_is_moved_during_an_experiment_is_one_line(short: Study, t
             raise raised
 
     for raised in (OSError, KeyboardInterrupt):
-        expected, words = (ConfigError, "Put it back") if raised is OSError else (raised, None)
+        expected, words = (ConfigError, "Restore it") if raised is OSError else (raised, None)
         with one_line(words, expected):
             run_trial(replace(short, hardware=Moving()), folder)
         assert not folder.exists()
