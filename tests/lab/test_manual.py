@@ -187,7 +187,7 @@ def test_a_person_reads_start_limits_and_what_to_do(point_mass: Study, tmp_path:
     ):
         assert f"  {line}\n" in text
     assert "|position|" not in text
-    assert "If the controller aborted, end the\nfile with the row in which it did" in text
+    assert "If the\ncontroller aborted, end the file with the row in which it did" in text
     rows = np.array([[0.0, 0.5, 0.0, 1.0], [0.02, 0.5, 0.0, 0.0]])
     table = lines(",".join([*header(point_mass.task), "failure"]), rows, "unsafe_rate_of_force")
     request = requested(point_mass.task, np.array([0.5, 0.0]), safety)

@@ -71,7 +71,7 @@ ANSWERS = {
     "print('[' * 100000)": "expected one JSON object, got '[[[",
     "sys.exit('the arm is not there')": "expected exit status 0, got 1: the arm is not there",
     "os.kill(os.getpid(), 9)": "expected exit status 0, got 137: it printed no message",
-    "print(json.dumps(dict(states=states, inputs=inputs, cost=1)))": "cost: expected states, inputs",
+    "print(json.dumps(dict(states=states, inputs=inputs, cost=1)))": "cost: expected only states, inputs",
     f"inputs = [['1_2']] * 101; {ANSWER}": "inputs: row 1: expected 1 finite number, got ['1_2']",
     f"inputs = inputs[:50]; {ANSWER}": "expected equally many rows of each, got 101",
     f"states = inputs = []; {ANSWER}": "states: expected at least one row, got none",

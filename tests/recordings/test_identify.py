@@ -390,11 +390,11 @@ def test_a_trial_begins_with_what_was_identified(
     assert isinstance(first, Identified)
     assert first.estimates == assessment.identified.estimates
     heavier = [*options, "nominal.drives.damping_1=0.002"]
-    with pytest.raises(ConfigError, match=r"^identification\.known: is of a nominal model with other values"):
+    with pytest.raises(ConfigError, match=r"^identification\.known: belongs to a nominal model with other"):
         simbias.load(heavier, tmp_path / "conf")
     wider = simbias.load([*options, "nominal.uncertainty.damping=0.03"], tmp_path / "conf")
     declared = (
-        r"^identification\.known: is of damping_1 declared as 0 N m s/rad \(half_normal of spread 0\.02\);"
+        r"^identification\.known: is for damping_1 declared as 0 N m s/rad \(half_normal of spread 0\.02\);"
     )
     with pytest.raises(ConfigError, match=declared):
         rehearse(wider)

@@ -241,7 +241,7 @@ def test_a_rest_that_cannot_be_is_one_line() -> None:
     with pytest.raises(ConfigError, match=r"resting: expected less than the horizon's 2 s, got 2 s"):
         simbias.load([*NEAR, "policy.resting=2.0"])
     moving = simbias.load(["preset=arm_eight", "tracking=none", "policy.resting=0.5"])
-    with pytest.raises(ConfigError, match=r"^policy\.resting: the task's goal moves"):
+    with pytest.raises(ConfigError, match=r"^policy\.resting: must be 0: a plan cannot rest"):
         run_trial(moving)  # before it begins
 
 

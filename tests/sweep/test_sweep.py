@@ -117,8 +117,8 @@ def test_a_part_of_a_sweep_leaves_its_record_and_others_say_what_it_loses(
     own = sweep_folder(folder)
     before = {file: file.read_bytes() for file in own.rglob("*.*") if file.is_file()}
     for values, cells, said in (
-        ("[0.2]", 1, f"asked for 1 of the 2 trials of {own.relative_to(folder)}: "),
-        ("[0.2, 0.3]", 2, f"{own.relative_to(folder)} loses 1 of its 2 trials, "),
+        ("[0.2]", 1, f"running 1 of the 2 trials of {own.relative_to(folder)}: "),
+        ("[0.2, 0.3]", 2, f"{own.relative_to(folder)} drops 1 of its 2 trials, "),
     ):
         assert before == {file: file.read_bytes() for file in own.rglob("*.*") if file.is_file()}
         capsys.readouterr()
@@ -300,7 +300,7 @@ def test_bad_input_runs_nothing(folder: Path, capsys: pytest.CaptureFixture[str]
             "+sweep.axes.x={keys: bias.d, values: [1, -1]}",
         ],
         "engine.n_jobs: must be greater than 0": ["+sweep=smoke", "engine.n_jobs=0"],
-        "method: searches on the hardware itself, but Manual is no simulator (in the cell ideal)": [
+        "method: searches on the hardware itself, but Manual is not a simulator (in the cell ideal)": [
             "+sweep={trials: 1, axes: {method: [ideal]}}", "hardware=manual"
         ],
         "policy_test.episodes: is 0, but sweep.figures.gaps": ["+sweep=gaps", "policy_test.episodes=0"],

@@ -166,7 +166,10 @@ def test_options_may_stand_anywhere() -> None:
 
 
 def test_help_of_a_command_is_of_it_alone(capsys: pytest.CaptureFixture[str]) -> None:
-    for command, said in (("withdraw", "own command then resumes it"), ("preview", "It writes preview.png.")):
+    for command, said in (
+        ("withdraw", "own command then resumes the trial"),
+        ("preview", "It writes preview.png."),
+    ):
         with pytest.raises(SystemExit):
             parse([command, "--help"], "0")
         usage, _, rest = " ".join(capsys.readouterr().out.split()).partition(" [-h]")

@@ -31,7 +31,7 @@ def test_a_new_robot_keeps_its_contracts_and_learns(
         out, err = capsys.readouterr()
         assert checked == 0, out + err
         assert "hardware arm, nominal arm, task arm: all checks hold." in out
-        assert "was not tried" not in out
+        assert "was not checked" not in out
         ran = main([*commands[2], "tracking=none"])
         out, err = capsys.readouterr()
         assert ran == 0, out + err

@@ -209,7 +209,7 @@ def test_a_trial_that_is_told_is_the_one_that_runs(point_mass: Study) -> None:
 def test_what_is_wrong_is_told_and_the_question_stays_open(
     point_mass: Study, caplog: pytest.LogCaptureFixture
 ) -> None:
-    with pytest.raises(ValueError, match=r"ask\(\) comes first"):
+    with pytest.raises(ValueError, match=r"call ask\(\) first"):
         point_mass.tell(Rollout(np.zeros((1, 2)), np.zeros((0, 1)), 0, "fell"))
     request = point_mass.ask()
     assert request is not None

@@ -71,7 +71,7 @@ class Mujoco(Nominal):
         spreads = changes(self._robot.model, uncertainty or {}, {})
         for name in spreads:
             if self._robot.shares.get(name) == 0.0:
-                raise ValueError(f"uncertainty: {name} is set to zero, so it cannot be uncertain")
+                raise ValueError(f"uncertainty: {name} is set to zero")
         known = values_of(self._robot.model, "*") | self._robot.shares
         units = {name: unit_of(self._robot.model, name) for name in known}
         self.parameters = uncertain(known, units, spreads)
