@@ -168,7 +168,9 @@ def test_a_limit_of_nothing_is_bad_input() -> None:
     }.items():
         with pytest.raises(ConfigError, match=rf"^{re.escape(key)}: "):
             simbias.load([override, "tracking=none"])
-    with pytest.raises(ConfigError, match=r"^hardware\.safety: states: nothing is called bearing; there is"):
+    with pytest.raises(
+        ConfigError, match=r"^hardware\.safety: states: nothing is called bearing; available: shoulder"
+    ):
         simbias.load(["preset=reacher", "+hardware.safety.states.bearing=1", "tracking=none"])
 
 

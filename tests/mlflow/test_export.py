@@ -295,7 +295,7 @@ def test_a_folder_that_cannot_be_read_is_named_and_stops_no_other(
     said = "\n".join(each.getMessage() for each in caplog.records)
     assert len(caplog.records) == 4
     for name in ("sweep", "state"):
-        assert re.search(rf"sweeps/{name}/{name}\.json: cannot be read .*\. Delete it; ", said)
+        assert re.search(rf"sweeps/{name}/{name}\.json: cannot be read .*\. Delete it: ", said)
     assert f"{study(0).hash}/{TRIAL}: cannot be read" in said
     assert f"copy: is a copy of trial {study(1).hash}, which lies beside it" in said
     assert [*pages(uri(folder))] == ["1", "2", "3", "4"]

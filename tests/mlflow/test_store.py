@@ -93,7 +93,10 @@ def unusable(folder: Path, new_store: Path) -> Iterator[tuple[str, str]]:
     yield f"sqlite:///{folder}", "unable to open database file"
     yield "sqlite://", "in memory"
     yield "sqlite:///:memory:", "in memory"
-    yield str(folder), "MLflow no longer uses folders as stores; use sqlite:///FILE works"
+    yield (
+        str(folder),
+        "MLflow no longer uses folders as stores; use sqlite:///FILE or the address of a server",
+    )
     yield "foo://bar", "unsupported URI"
     yield "http://127.0.0.1:9", "refused"
     yield "http://me:secret@no-such-host.invalid", ""

@@ -428,7 +428,7 @@ def test_a_task_reads_its_states_in_the_order_of_the_models_joints(tmp_path: Pat
     other = tmp_path / "other.xml"  # a figure of other joints
     other.write_text(Path(file).read_text().replace('name="hinge"', 'name="knee"'))
     for read in ({"figure": {"file": file}}, {"figure": {"file": str(other)}, "sensors": {"file": file}}):
-        with one_line("joints: hinge, slider are not in the order of task.figure or task.sens", ValueError):
+        with one_line("joints: hinge, slider must be in the order of task.figure or task.sens", ValueError):
             Mujoco(cart_pole(**read), file, joints=["hinge", "slider"])
 
 
