@@ -95,7 +95,7 @@ def unusable(folder: Path, new_store: Path) -> Iterator[tuple[str, str]]:
     yield "sqlite:///:memory:", "in memory"
     yield (
         str(folder),
-        "MLflow no longer uses folders as stores; use sqlite:///FILE or the address of a server",
+        "MLflow no longer uses folders as stores; use sqlite:///FILE or ",
     )
     yield "foo://bar", "unsupported URI"
     yield "http://127.0.0.1:9", "refused"

@@ -407,7 +407,7 @@ def test_a_trial_begins_with_what_was_identified(
     assert len(pd.read_csv(tmp_path / "draws.csv")) == 100
     assert pd.read_csv(tmp_path / "parameters.csv").set_index("name").loc["friction_1", "trusted"]
     with pytest.raises(
-        ValueError, match=r"identification\.known: is of mass; the nominal model's parameters"
+        ValueError, match=r"identification\.known: is for mass; the nominal model's parameters"
     ):
         type(study.identification)(study.task, known=Known(["mass"], [0.0], [[1.0]])).fit(  # type: ignore[call-arg]
             study.nominal, []

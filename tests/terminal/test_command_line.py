@@ -114,7 +114,7 @@ def test_bad_input_that_a_planner_finds_exits_2_too(line: Any, monkeypatch: pyte
     *_, said = err.splitlines()  # after those on the compilation
     start = "(angle 3.14159 rad, d_position 100 m/s)"
     assert status == 2
-    assert said.startswith(f"simbias: method.trajectories: the model fails from its start {start} whatever ")
+    assert said.startswith(f"simbias: method.trajectories: the model fails from its start {start}, ")
     assert said.endswith(" from -10 to 10 N (0 hardware experiments kept)")
 
 

@@ -282,7 +282,7 @@ def test_what_cannot_be_read_is_one_line_that_names_the_file(
     for name, words in (("experiments", "9 experiments and 3 iterations"), ("iterations", "6 .* and 9 it.*")):
         (folder / OUTCOME).write_text(json.dumps(outcome | {name: 9}))
         for read in (read_folder, partial(run_trial, short)):
-            with one_line(rf"outcome\.json: has {words}, its steps 6 and 3\. Delete it"):
+            with one_line(rf"outcome\.json: counts {words}, its steps 6 and 3\. Delete it"):
                 read(folder)
     (folder / OUTCOME).unlink()
     assert_equal(timeless(run_trial(short, folder)), timeless(whole[1]))

@@ -80,10 +80,10 @@ def test_a_search_on_hardware_moves_no_robot_unasked(hasty: Study) -> None:
     """Nor one that is asked for by `study.ask()`, or held by limits, which the search keeps."""
     ideal = replace(hasty, method=Ideal(rollouts=1))
     real = replace(ideal, hardware=Process(hasty.task, "true"))
-    with pytest.raises(ConfigError, match=r"^method: searches on the hardware itself, but Process is no sim"):
+    with pytest.raises(ConfigError, match=r"^method: searches on the hardware itself, but Process is not a"):
         run_trial(real)
     middle = MultiFidelity(lambda config: real.hardware, {"command": "true"})
-    with pytest.raises(ConfigError, match=r"^method\.middle: searches .*, but Process is no simulator"):
+    with pytest.raises(ConfigError, match=r"^method\.middle: searches .*, but Process is not a simulator"):
         run_trial(replace(hasty, method=middle))
     own, log = counted(hasty)
     middle = MultiFidelity(lambda config: own.hardware, {})
