@@ -120,7 +120,8 @@ def recovery(request: Request) -> bool:
         for each in recovered
     ]
     table(console, names, rows)
-    say(console, "Medians over robots drawn from the prior, relative to the prior's deviations.")
+    say(console, "Medians over robots drawn from the prior, or from an identified option's posterior.")
+    say(console, "Deviations are relative to the prior's.")
     say(console, COMES_BACK)
     say(console, f"White noise of {_levels(study, noise)}.")
     return not all(each.doubt for each in recovered)
