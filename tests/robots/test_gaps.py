@@ -130,7 +130,7 @@ def test_a_sensor_is_late_and_off() -> None:
 
 
 def test_an_offset_of_no_state_is_named() -> None:
-    with pytest.raises(ValueError, match="no state is called phi; there is alpha_w"):
+    with pytest.raises(ValueError, match="no state is called phi; available: alpha_w"):
         PymunkBongoboard(build_task(), gaps=Gaps(sensor_offset={"phi": 0.1}))
 
 
