@@ -191,7 +191,7 @@ def _show_config(parsed: argparse.Namespace) -> int:
 
 
 def _export(parsed: argparse.Namespace) -> int:
-    """Export the trials and sweeps of a folder to MLflow; unreadable ones are skipped."""
+    """Export the trials and sweeps of a folder to MLflow; unreadable ones are reported."""
     store = _mlflow(parsed)
     for line in store.export_all():
         print(line)

@@ -30,7 +30,7 @@ class Nominal(ABC):
     kernel: Kernel | None = None
     parameters: tuple[Parameter, ...] = ()  # those that are not known exactly
     state_size: int = 0  # s, of the model state
-    acting: tuple[int, ...] = ()  # entries of the model state that keep the acting input; see `acted`
+    acting: tuple[int, ...] = ()  # entries of the model state that keep the acting input, if any; see `acted`
     estimates: Sequence[Estimate] = ()  # what has been identified
     diagnostics: Mapping[str, float] = MappingProxyType({})  # of the identification's fit
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from simbias.core.digest import short_digest
 
-# Vector instructions and fused products determine the order of sums, and thus the last bits.
+# Vector instructions, which determine the order of sums, and fused products: both change the last bits.
 FEATURES = ("fma", "avx", "avx2", "avx512f", "neon", "sve")
 PACKAGE = Path(__file__).resolve().parent.parent
 

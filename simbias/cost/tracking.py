@@ -1,4 +1,4 @@
-"""A quadratic cost of the error from a goal."""
+"""A quadratic cost of the distance from a goal."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ FEWEST_AROUND = 3  # frames to each side of a smoothed one
 WIDTHS = 12  # candidate numbers of frames
 OUTLIER = 4.0  # deviations of noise
 EVEN = 2.0  # ratio of long to short sampling intervals; an encoder's steps differ more
-MOST_BENT = 0.85  # of the frames that bend an interpolated line; above, each frame may be a sample
+MOST_BENT = 0.85  # share of frames at which an interpolated line bends; above, each frame may be a sample
 MOSTLY = 0.9  # of the samples: share that bends the line to one side only
 
 
@@ -70,7 +70,7 @@ def smoothed(rollouts: Sequence[Rollout], frames: int) -> list[Array]:
 
 
 def _samples(values: Array) -> tuple[Array, Array]:
-    """Times, in frames, and values of a state's samples (k,): in each frame, or rarer with interpolation."""
+    """Times, in frames, and values of the samples of a state (k,): each frame, or fewer with lines between."""
     each = np.arange(float(len(values))), values
     bends = np.append(np.diff(values, 2), 0.0)  # at each frame except the first
     bent = np.abs(bends) > LINEAR * np.ptp(values)

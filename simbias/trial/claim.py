@@ -1,4 +1,4 @@
-"""The claim of a trial about its last policy, based on its own experiments alone."""
+"""The claim of a successful trial about its last policy, based on its own experiments alone."""
 
 from __future__ import annotations
 

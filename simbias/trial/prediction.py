@@ -24,7 +24,7 @@ class Prediction:
     expected: Rollout  # from its start, on the model that the search used
     draws: tuple[Rollout, ...]  # from random starts of the task, on drawn models
     drawn: str  # source of the draws, in words
-    is_known: bool = True  # whether states can be predicted; not without a model and data
+    is_known: bool = True  # whether states can be predicted; not if there is neither a model nor data
 
     @property
     def failures(self) -> list[str]:

@@ -52,7 +52,7 @@ class TrialRecord:
 
     @property
     def next_experiment(self) -> ExperimentRequest:
-        """A request for another experiment with the last policy, as designed in its iteration.
+        """Another experiment with the last policy, as designed in its iteration, from the mean start.
 
         Model-based parts of the policy, such as an observer's gains, come from that iteration's model; in the
         study's own policy they come from the nominal model.

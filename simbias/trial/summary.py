@@ -29,7 +29,7 @@ IDENTIFIED = "The quantiles assume a complete model: effects that it lacks may s
 
 
 class Outcome(StrEnum):
-    """How a trial ended, or why it stopped; `verdict` is the first word of a sentence about it."""
+    """How a trial ended, or why it stopped; `verdict` is the beginning of a sentence about it."""
 
     SUCCEEDED = "succeeded"
     NOT_SUCCEEDED = "not succeeded"
@@ -40,7 +40,7 @@ class Outcome(StrEnum):
 
     @property
     def verdict(self) -> str:
-        """The outcome as the first word of a sentence about the trial."""
+        """The outcome as the beginning of a sentence about the trial."""
         words = {
             Outcome.NOT_SUCCEEDED: "Did not succeed",
             Outcome.ERROR: "Stopped by an error",

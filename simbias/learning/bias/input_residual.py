@@ -11,7 +11,7 @@ from simbias.core.records import Array, Rollout, Transitions
 from simbias.learning.bias.gp import GaussianProcess
 from simbias.learning.covariance import output_scale
 
-STEP = 1e-3  # relative step of inputs, for derivatives of the model
+STEP = 1e-3  # step of inputs, in their units, for derivatives of the model
 
 
 class InputResidual(GaussianProcess):

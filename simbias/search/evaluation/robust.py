@@ -38,7 +38,7 @@ class Robust(Evaluation):
         Whether a search begins at the optimum for one noise-free rollout on the model itself from the mean
         start.
     seconds
-        The duration of the rollouts; longer ones favour policies that last. None: the task's horizon.
+        The maximum duration of the rollouts; longer ones favour policies that last. None: the task's horizon.
     """
 
     def __init__(
