@@ -117,7 +117,7 @@ class Evaluations:
 
     @property
     def together(self) -> Callable[[Array], Array] | None:
-        """The objective's costs (k,) of points (k, p) in lockstep, neither counted nor judged; None if unsupported."""
+        """Costs (k,) of points (k, p) in lockstep, neither counted nor judged; None if unsupported."""
         return self._objective.together if self._objective.lockstep else None
 
     def evaluate(self, point: Array) -> float:

@@ -16,7 +16,7 @@ from simbias.simulation.open_loop import Windows
 FREEDOM = 1.0  # nu / d: a window with ten times the usual errors has a fiftieth of the usual weight
 ROUNDS = 5  # of expectation maximisation, until the weights have converged
 RELATIVE_FLOOR = 1e-6  # least error, relative to the standard deviation of a state
-CEILING = 1e6  # standard deviations, replace non-finite errors
+CEILING = 1e6  # standard deviations; it replaces non-finite errors
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,7 +30,7 @@ def cost_on_hardware(
     """The mean cost Z (Eq. 8) of a policy over starts and noise that are drawn once for all policies.
 
     The hardware is a simulator: it runs as often as the search requires, under the study's conditions.
-    simbias's own simulators move nothing, so they need no confirmation; a custom hardware, or an environment
+    simbias's own simulators move nothing, so they need no confirmation; custom hardware, or an environment
     that is not Gymnasium's, may be a robot. A policy that fails from the first starts costs their mean.
     Errors as for `check_simulator`.
     """
