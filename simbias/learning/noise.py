@@ -70,7 +70,7 @@ def smoothed(rollouts: Sequence[Rollout], frames: int) -> list[Array]:
 
 
 def _samples(values: Array) -> tuple[Array, Array]:
-    """Times, in frames, and values of the samples of a state (k,): each frame, or some with lines between."""
+    """Times in frames, and values, of a state's samples: all frames (k,), or fewer with lines between."""
     each = np.arange(float(len(values))), values
     bends = np.append(np.diff(values, 2), 0.0)  # at each frame except the first
     bent = np.abs(bends) > LINEAR * np.ptp(values)

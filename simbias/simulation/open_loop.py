@@ -105,7 +105,7 @@ class Windows:
 
     @property
     def rows(self) -> list[slice]:
-        """The rows of each experiment except the last, after which nothing is predicted."""
+        """The rows of each experiment except its last one, after which nothing is predicted."""
         bounds = zip(self.firsts, self.leads, self.frames, strict=True)
         return [slice(first - lead, first + frames) for first, lead, frames in bounds]
 

@@ -36,8 +36,8 @@ def trajectory_candidates(
     Raises
     ------
     ConfigError
-        If the policy follows no trajectory, all models fail with all inputs, or the plan would have to rest
-        at a moving goal.
+        If the policy follows no trajectory, all models fail with all inputs tried, or the plan would have
+        to rest at a moving goal.
     """
     if not count:
         return

@@ -57,7 +57,7 @@ class ModelBased(Method):
     model_selection
         Whether to search on the model that best predicts held-out experiments: the nominal model as declared,
         with identified parameters, or also with a bias (`simbias.trial.model_selection`). Otherwise the last
-        model is used.
+        of these is used.
     margin
         Number of standard errors by which a model has to predict better than a simpler one to be selected.
     from_last
