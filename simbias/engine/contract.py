@@ -30,7 +30,7 @@ class WorkplaceError(WorkerLostError):
 
 
 class EngineLostError(ConfigError):
-    """The scheduler has gone before all tasks ended; the same command resumes."""
+    """The scheduler was lost before all tasks had ended; the same command resumes."""
 
 
 Results = Generator[tuple[int, R | WorkerLostError], None, None]  # a task's index, and its result

@@ -52,7 +52,7 @@ class Dask(Engine):
         Workers of the local cluster.
     """
 
-    shares_disk = False  # not known to
+    shares_disk = False  # not known to share one
 
     def __init__(self, address: str | None = None, n_jobs: Workers = 2) -> None:
         library("distributed", "Dask", "dask")

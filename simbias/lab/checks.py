@@ -28,8 +28,8 @@ def check_rollout(
 ) -> Rollout:
     """Check a rollout and copy it to float64 arrays, within safety limits, without cost and parameters.
 
-    Unless its states are measured, it has to begin near the start (n,), if given. If it names no failure, it
-    ends at the first state that violates a criterion.
+    Unless its states are measured, it has to begin near the start (n,), if given, and is cut at the first
+    state that violates a criterion, if it names no failure.
 
     Raises
     ------

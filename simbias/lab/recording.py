@@ -269,7 +269,7 @@ class Reader:
             if (usual := np.quantile(values, MOSTLY)) > TWICE * limit:
                 column = f"{path}: column {self._columns[each.name]}"
                 raise HardwareError(
-                    f"{column}: {each.name} is often {usual:.3g} {told}: is a unit or a column wrong?"
+                    f"{column}: {each.name} reaches {usual:.3g} {told}: is a unit or a column wrong?"
                 )
             if (most := values.max()) > TOLERANCE * limit:
                 notes.append(f"{each.name} reaches {most:.3g} {told} (means over frames)")

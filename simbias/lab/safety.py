@@ -27,7 +27,7 @@ class Safety:
     inputs
         Largest magnitude of an input.
     input_rates
-        Largest rate of change of an input per second, between frames.
+        Largest change of an input per second, from one frame to the next.
     states
         Largest magnitude of a (measured) state.
     criteria

@@ -108,7 +108,7 @@ def artifact(file: Path) -> str:
 
 
 def began_at(folder: TrialFolder) -> list[int]:
-    """Times of the trial's start and of each restart after a withdrawal, ms since the epoch."""
+    """Times of the trial's start, if any, and of each restart after a withdrawal, ms since the epoch."""
     begun = [each["started"] for each in folder.attempts() if "started" in each][:1]
     return [int(1000 * time) for time in (*begun, *(each.time for each in folder.withdrawals()))]
 

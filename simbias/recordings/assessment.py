@@ -39,7 +39,7 @@ class Assessment:
     identified: Identified  # from all these recordings
     parts: Sequence[Part]  # parts of them, each predicted by a model of the others
     held_out: Part | None
-    models: Sequence[Identified]  # by part, then held-out part: a model not fitted to it
+    models: Sequence[Identified]  # for each of `judged`, a model that was not fitted to it
     findings: Sequence[Finding]
     predictions: Sequence[HorizonErrors]
     mistakes: Sequence[Mistake]  # of signs and columns
@@ -132,7 +132,7 @@ class Assessment:
 
 
 def prepared(study: Study) -> Study:
-    """The study prepared for identification from recordings, even under strong motion.
+    """The study for identification from recordings; it also tells what strong motion leaves undetermined.
 
     Raises
     ------

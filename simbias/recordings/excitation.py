@@ -1,4 +1,4 @@
-"""Excitation: the most informative input trajectories about a model's parameters, within limits."""
+"""Excitation: the input trajectories most informative about a model's parameters, within limits."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ HARMONICS = 20  # maximum number in each input's Fourier series
 FASTEST = 5.0  # Hz
 RAMP = 0.25  # s, in which inputs rise from zero and return to it
 SCALES = 0.75 ** np.arange(12)  # candidate scales of inputs, until all limits are kept
-FEWEST = 20  # frames of inputs: too few for rise, motion and fall
+FEWEST = 20  # frames of inputs: fewer are too few for rise, motion and fall
 RELATIVE_NOISE = 0.005  # of a state's range, without recordings
 REFERENCES, REFERENCE = 5, 5.0  # random trajectories for estimating states' ranges; s of each
 RANDOM, SEED = 0.6, 0  # share of random trajectories; the others vary the best

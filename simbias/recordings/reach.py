@@ -1,7 +1,7 @@
 """How far recordings extend beyond a model's training data.
 
 Regions are scaled by errors on training data. If a robot is elsewhere, moves faster or is pushed harder,
-these errors are little guide (`sweeps/results/rigs/HOW.md`).
+these errors are a poor guide (`sweeps/results/rigs/HOW.md`).
 """
 
 from __future__ import annotations

@@ -159,7 +159,7 @@ class _Action:
                 )
 
     def __call__(self, u: Array) -> Any:
-        """The action, clipped to the limits after noise, like by the environment's motors."""
+        """The action, with noise, clipped to the limits, as by the environment's motors."""
         action = np.clip(self._expressions(u), self._low, self._high)
         return round(float(action[0])) if self._discrete else action
 

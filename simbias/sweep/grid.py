@@ -123,7 +123,7 @@ class Sweep:
 
     @property
     def hash(self) -> str:
-        """Identity of a sweep, open to new points and trials: names, axes, columns, shared config."""
+        """Identity of a sweep, open to new points and trials: name, axes, seeds, split, shared config."""
         values = self.base.config["sweep"]
         split, common_seeds = values.get("suite", {}).get("split"), sorted(values.get("common_seeds", []))
         specs = values["axes"].items()  # no keys of named points: a new point may set others

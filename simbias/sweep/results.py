@@ -6,8 +6,8 @@ without success the method's maximum, 2 x N_out = 20 by Table I), `iterations` (
 (wall time), `hardware_seconds` (duration of the experiments, even without success) and `raised` (its error).
 `policy` is a digest of its last policy's parameters. If that was tested, `test_episodes` has a 1 for each
 successful episode and a 0 for each other, and `lasting_episodes` a 1 for each that lasts to its own end;
-`long_success_rate` is the share of long episodes that last to their end, and `long_seconds` their mean
-duration.
+`long_success_rate` is the share of long episodes that last to their end, and `long_seconds` the mean
+duration of all long episodes.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from simbias.sweep.grid import Sweep
 from simbias.sweep.statistics import FEWEST, episodes_needed, interval, passed, verdicts
 
 BLANK = "–"  # noqa: RUF001  if there is no number
-RELIABLE = 0.9  # success rate above which a policy counts as reliable
+RELIABLE = 0.9  # success rate from which a policy counts as reliable
 MEASURES = (
     *("trials", "succeeded", "raised", "mean", "low", "high", "iterations", "hardware_seconds"),
     *("success_rate", "reliable", "tested", "holding", "long_success_rate", "paper"),
@@ -36,8 +36,8 @@ def cells(trials: pd.DataFrame, sweep: Sweep) -> pd.DataFrame:
 
     `trials` counts those that ended without an error, `succeeded` those with success. `mean` and its interval
     from `low` to `high` (`simbias.sweep.statistics.interval`) are for the number of experiments; `iterations`
-    is their mean number. `raised` counts trials that ended with an error, which are excluded elsewhere;
-    `paper` is the paper's mean, or nan. Further means are `hardware_seconds`, of all experiments;
+    is the mean number of iterations. `raised` counts trials that ended with an error, which are excluded
+    elsewhere; `paper` is the paper's mean, or nan. Further means are `hardware_seconds`, of all experiments;
     `success_rate`, the share of test episodes in which the last policies succeed (or last for the horizon, if
     the task defines no success); `reliable`, the share of trials in which this is at least RELIABLE; and
     `long_success_rate`, the share of long test episodes that last to their end. Of the `tested` last policies

@@ -225,7 +225,7 @@ class SweepConsole(SweepObserver):
     def stopped(self, why: str, again: str) -> None:
         """Report that the sweep ended early, its progress, and how to resume it."""
         done = sum(Outcome(outcome).final for outcome in self._outcomes)
-        kept = f"; {done} of {self._total} trials are done" if self._total else ""  # not yet counted
+        kept = f"; {done} of {self._total} trials are done" if self._total else ""  # else not yet counted
         kept += "" if self._keeps else ", but not kept"
         text = f"simbias: {' '.join(why.split())[:500]}{kept}.\nResume with:  {again}"
         print(text, file=sys.stderr, flush=True)

@@ -181,7 +181,7 @@ class _Watched(Policy):
             expect_any_leading_axes(act, "policy.act", theta[rows], x[rows], policy_state[rows])
         self._frames += 1
         u, after = self._policy.act(theta, x, t, policy_state)
-        beyond = (u < self._lower) | (u > self._upper)  # far away, it need not be finite
+        beyond = (u < self._lower) | (u > self._upper)  # far away, it need not be a number
         expect(not beyond.any(), "policy.act", self._expected, u[beyond.any(axis=-1)][:1])
         return u, after
 

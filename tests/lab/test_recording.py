@@ -372,7 +372,7 @@ def test_inputs_beyond_their_limits_are_told_or_refused(
     found = read(table.assign(tau1=1.2 * scale * table["tau1"]))
     said = r"tau1 reaches \S+ N m, beyond the limit of \S+ N m \(means over frames\)"
     assert any(re.fullmatch(said, note) for note in found.notes)
-    with one_line(r"one\.csv: column I1: tau1 is often \S+ N m, beyond the limit of", HardwareError):
+    with one_line(r"one\.csv: column I1: tau1 reaches \S+ N m, beyond the limit of", HardwareError):
         read(table.assign(I1=1e3 * table["tau1"]).drop(columns="tau1"), tau1="I1")
 
 

@@ -25,8 +25,8 @@ HEADER = """\
  * Call simbias_start before an experiment, then simbias_control once a frame, every {time_step!r} s.
  *   x: {states}
  *   u: {inputs}
- * It returns 0, or 1 if a limit is exceeded or a value is not a number: then abort the experiment. u is zero,
- * controller->failure names the limit, and it returns 1 until simbias_start is called again.
+ * It returns 0, or 1 if a limit is exceeded or a value is not a number: then abort the experiment. Until
+ * simbias_start is called again, u is then zero, controller->failure names the limit, and it returns 1.
  */
 #ifndef SIMBIAS_CONTROLLER_H
 #define SIMBIAS_CONTROLLER_H

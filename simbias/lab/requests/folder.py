@@ -110,7 +110,7 @@ def refuse_copied_file(trajectory: Path) -> None:
 
 
 def _asked(trajectory: Path) -> dict[str, Any]:
-    """The content of a trajectory's request, without its token."""
+    """The content of a trajectory's request, without its name."""
     return {**json.loads(trajectory.with_name(POLICY).read_text(encoding="utf-8")), "request": ""}
 
 

@@ -46,8 +46,8 @@ class Process(Hardware):
     timeout
         Seconds in addition to an experiment's own duration, after which the program is terminated.
     exclusive
-        Whether an experiment waits, at most as long, until no other process runs the same command on this
-        machine. A simulator may run several times at once; a robot may not.
+        Whether an experiment waits, for at most the same time, until no other process runs the same command
+        on this machine. A simulator may run several times at once; a robot may not.
     """
 
     sets_start = False  # not known to set it

@@ -54,7 +54,7 @@ class ExperimentRequest:
 
     @property
     def targets(self) -> list[str]:
-        """The targets of the experiment, which only the policy knows, in words."""
+        """The targets of the experiment, which its policy knows, in words."""
         policy = without_limits(self.policy)
         return policy.told if isinstance(policy, WithTargets) else []
 

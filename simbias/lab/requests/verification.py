@@ -20,7 +20,7 @@ from simbias.lab.safety import Bounds, SafetyLimitedPolicy, UnsafeError, without
 FRAMES = 200  # of each sequence of states
 AMPLITUDES = (0.0, 0.01, 0.1, 1.0, 10.0)  # of the sequences, in addition to the deviation of starts
 AFTER = 50  # frames after the horizon that are also compared
-STEPS = np.geomspace(0.01, 10.0, 50)  # of wandering states; the smallest is used while no input saturates
+STEPS = np.geomspace(0.01, 10.0, 50)  # of wandering states: the smallest at which no input saturates
 AGREEMENT = 1e-9  # relative to the largest input
 ROUNDING = 2.0**-52  # relative, of measurements; its effect grows if a policy state is chaotic,
 ROUNDED = 1e3  # and this many times the effect is tolerated,

@@ -33,7 +33,7 @@ LIMIT, BEYOND = "0.35", "0.92"  # greys
 SMALL = 8.5  # points
 TICKS = {4.0: (1, 1.5, 2, 3, 4, 5, 7), 20.0: (1, 2, 3, 5), 200.0: (1, 3)}  # by upper over lower limit
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-FAR = 3  # decades from 1, beyond which an axis' numbers are written as powers of ten
+FAR = 3  # decades from 1, beyond which an axis' numbers are written with powers of ten
 LINE_OF_TEXT = 0.13  # of the height of axes, at most
 
 DOTS_PER_INCH = 120

@@ -114,7 +114,10 @@ def _rollouts(study: Study, iterations: Sequence[Iteration], iteration: Iteratio
 
 
 def _measure(study: Study, experiment: Rollout, shown: Sequence[Rollout]) -> Measure:
-    """The criterion violated in an experiment, or else the first violated in any; or the cost."""
+    """The criterion violated in an experiment, or else the first violated in those shown.
+
+    If none was violated, or the experiment lasts but does not succeed, it is the cost.
+    """
     task = study.task
     names = [criterion.name for criterion in task.criteria]
     failures = [rollout.failure for rollout in (experiment, *shown) if rollout.failure in names]

@@ -83,7 +83,7 @@ def draw_strip(
     draw: Drawing,
     color: str = HARDWARE,
 ) -> Axes | None:
-    """Draw a rollout at the times (s) into a row of axes; return the axes that show its failure.
+    """Draw a rollout at the times (s) into a row of axes; return the axes that show its failure, if any.
 
     Set their view afterwards with `share_view`.
     """

@@ -131,7 +131,7 @@ def check_within(
 
 
 def warn_of_degrees(reference: Reference, goals: Sequence[Quantity], seconds: float) -> None:
-    """Warn of a wrapping angle in rad with a goal turns away from zero that does not keep turning."""
+    """Warn of a wrapping angle in rad whose goal is turns away from zero, but does not keep turning."""
     times = np.linspace(0.0, seconds, 1000)
     values = np.broadcast_to(reference(times), (len(times), len(goals)))
     for goal, each in zip(goals, values.T, strict=True):

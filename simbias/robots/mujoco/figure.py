@@ -104,7 +104,8 @@ class Figure:
 def _bar(centre: Array, half: Array, length: float, radius: float, round_ends: bool) -> Array:
     """The ends (2, 2) of a bar about a centre (2,); if seen obliquely or end-on, its outline (k, 2).
 
-    `half` (2,) is the projection of half the bar, of this length. Round ends are half spheres beyond it.
+    `half` (2,) is the projection of half the bar, which has the given length. Round ends are half spheres
+    beyond it.
     """
     seen = np.hypot(*half)
     if seen > (1 - EDGE_ON) * length:

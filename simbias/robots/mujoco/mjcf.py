@@ -33,10 +33,9 @@ class Mechanism:
     States are the positions of the joints, then their velocities. A hinge or a slide has one of each. A ball
     joint has a quaternion (w, x, y, z) and the angular velocity (3) in the body's frame; a free joint the
     position (x, y, z) and a quaternion, and the velocity (3) in the world's frame and the angular velocity in
-    the body's. Quaternions are normalised in each step. Inputs are the forces and torques of motors, for
-    motors at a site, along (else about) the axis of their gear; for other actuators, inputs are their
-    controls. A frame is a whole number of engine steps, which are as long as in the file, or slightly
-    shorter.
+    the body's. Quaternions are normalised in each step. Inputs are the forces and torques of motors (at a
+    site: along the axis of their gear, else about it); for other actuators, inputs are their controls. A
+    frame is a whole number of engine steps, which are as long as in the file, or slightly shorter.
 
     Parameters
     ----------

@@ -20,7 +20,7 @@ from simbias.sweep.grid import LASTS
 from simbias.sweep.tables import RELIABLE, numbers_of_episodes, success_rate, untested
 
 ROW, REST, WIDTH = 0.3, 1.1, 7.2  # in: per cell; the rest; width
-LETTERS, LINE = 44, 0.17  # per line of a cell's label; its height in in
+LETTERS, LINE = 44, 0.17  # per line of a cell's label; in, its height
 RIGHTMOST = 1.06  # axis limit relative to the largest number of experiments, so that dots are not clipped
 COLORS = {"experiments": SIMULATION, "success_rate": HARDWARE}
 
