@@ -135,7 +135,7 @@ class CheckedHardware(Hardware):
         return other
 
     def whole(self) -> AbstractContextManager[None]:
-        """Defer interruptions within the context until the hardware's result is kept and counted."""
+        """Within the context, an interruption after the hardware returned waits until its result is counted."""
         self._returned = None
         return deferred(lambda: self._returned is not None)
 

@@ -32,7 +32,7 @@ _UNITS = {
 
 
 def _touched(x, z, v_x, v_z, from_x, from_z, along_x, along_z, rate, friction):
-    """The acceleration of a ball by a wall from a point along a vector; x and v are relative to the wall.
+    """The acceleration of a ball by a wall from a point along a vector; x and v are relative to the cup.
 
     A contact is a one-sided, critically damped spring with smooth Coulomb friction.
     """

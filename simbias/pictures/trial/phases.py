@@ -28,7 +28,7 @@ from simbias.pictures.trial.comparison import (
 from simbias.trial.study import Study
 
 HEIGHT = 2.3  # in, of a panel
-LONG = 5  # letters of a tick's number; with more, fewer ticks fit
+LONG = 5  # letters of a tick's number, from which fewer ticks fit
 NEAR = 0.5  # of a limit: a rollout that comes this close is shown with the limit
 
 
