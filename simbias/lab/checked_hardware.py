@@ -135,7 +135,7 @@ class CheckedHardware(Hardware):
         return other
 
     def whole(self) -> AbstractContextManager[None]:
-        """Within the context, an interruption after the hardware returned waits until its result is counted."""
+        """Defer interruptions, once the hardware has returned, until its result is kept and counted."""
         self._returned = None
         return deferred(lambda: self._returned is not None)
 

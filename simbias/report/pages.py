@@ -37,7 +37,7 @@ TOLD = ("hash", "user", "commit", "changed", "command")  # items of a descriptio
 def write_report(folder: Path, config_dir: Path | str | None = None, allow: Sequence[str] = ()) -> list[Path]:
     """Write `report.html` into a trial's or a sweep's folder, or into those of all sweeps beside trials.
 
-    ConfigError if the folder is neither, or cannot be read or written.
+    ConfigError if the folder is and holds neither, or cannot be read or written.
     """
     alone = [folder] if (folder / TRIAL).is_file() or (folder / SWEEP).is_file() else []
     folders = alone or [sweep.path for sweep in sweep_folders(folder)]
