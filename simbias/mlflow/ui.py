@@ -72,6 +72,6 @@ def _answers(port: int) -> bool:
 
 def _open(address: str, uri: str = "") -> None:
     """Open a page in the browser, if there is one, and print its address without the store's login."""
-    print(f"{redact(address, uri)}  (Ctrl-C stops the server)", flush=True)
+    print(f"{redact(address, uri)}  (Ctrl-C stops a local server)", flush=True)
     if sys.platform != "linux" or any(map(os.environ.get, DISPLAYS)):
         webbrowser.open(address)

@@ -187,7 +187,7 @@ def test_a_servers_page_is_opened_and_its_address_shown_without_a_password(
     monkeypatch.setattr("webbrowser.open", opened.append)
     ui.show("https://me:secret12@a.b", "#/x")
     assert opened == ["https://me:secret12@a.b/#/x"]
-    assert capsys.readouterr().out == "https://a.b/#/x  (Ctrl-C stops the server)\n"
+    assert capsys.readouterr().out == "https://a.b/#/x  (Ctrl-C stops a local server)\n"
 
 
 def test_a_port_that_is_taken_or_none_is_named() -> None:
