@@ -63,19 +63,20 @@ class Rollout:
         earlier = None if self.earlier is None else self.earlier.of_states(n)
         return replace(self, states=self.states[:, :n], measured=measured, earlier=earlier)
 
-    def with_history(self) -> tuple[Array, Array]:
-        """States (h+k+1, n) and inputs (h+k, m), including h earlier frames, as many as models remember.
+    def with_history(self) -> tuple[Array, Array, int]:
+        """States (h+k+1, n), inputs (h+k, m) and h, the earlier frames in them, as many as models remember.
 
         After a gap, its first input is assumed to have acted before. Without a gap, no input acted before.
         """
         states, inputs = self.states, self.inputs
         if self.earlier is not None:
-            before, sent = self.earlier.with_history()
+            before, sent, _ = self.earlier.with_history()
             states, inputs = np.concatenate([before[:-1], states]), np.concatenate([sent, inputs])
         elif self.continues and inputs[:1].any():
             states, inputs = (np.pad(each, ((MEMORY, 0), (0, 0)), "edge") for each in (states, inputs))
-        begin = max(0, len(inputs) - self.frames - MEMORY)
-        return states[begin:], inputs[begin:]
+        earlier = min(len(inputs) - self.frames, MEMORY)
+        begin = len(inputs) - self.frames - earlier
+        return states[begin:], inputs[begin:], earlier
 
 
 @dataclass(frozen=True, eq=False)

@@ -52,10 +52,10 @@ class Windows:
     def of(rollouts: Sequence[Rollout], window: int, chunk: int, noise: Array | float = 0.0) -> Windows:
         """Windows of a whole number of chunks; frames before a rollout lead to its first window."""
         window = max(1, round(window / chunk)) * chunk
-        states, sent = zip(*(rollout.with_history() for rollout in rollouts), strict=True)
+        states, sent, earlier = zip(*(rollout.with_history() for rollout in rollouts), strict=True)
         inputs = [np.pad(each, ((0, 1), (0, 0))) for each in sent]
         k = np.array([rollout.frames for rollout in rollouts], np.int64)
-        before = np.array([len(each) for each in sent], np.int64) - k
+        before = np.array(earlier, np.int64)
         begins = np.cumsum([0, *(before + k + 1)])[:-1]
         leads = before + k % window
         return Windows(

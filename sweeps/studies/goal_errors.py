@@ -18,10 +18,9 @@ import numpy as np
 import pandas as pd
 from last_policies import TRIALS, finished
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from simbias.core import markdown
-from simbias.pictures.elements.dots import draw_dots
+from simbias.pictures.elements.dots import dot_marks, draw_dots
 from simbias.pictures.elements.layout import legend
 from simbias.pictures.elements.style import HARDWARE, logarithmic, plain, save
 from simbias.sweep.grid import Sweep, expand
@@ -77,13 +76,7 @@ def figure(sweep: Sweep, errors: pd.DataFrame) -> Figure:
     axes.set_xlim(mm.min() / MARGIN, mm.max() * MARGIN)
     axes.set_yticks(range(len(inner.labels)), inner.labels)
     axes.set_ylim(len(inner.labels) - 0.4, -0.6)
-    dot: dict[str, Any] = {"color": HARDWARE, "marker": "o", "markersize": 4, "linestyle": ""}
-    marks = {
-        "trial that succeeds": Line2D([], [], **dot),
-        "trial that never does": Line2D([], [], markerfacecolor="white", **dot),
-        "mean": Line2D([], [], color="0.2", marker="|", markersize=10, linestyle=""),
-    }
-    legend(made, marks)
+    legend(made, dot_marks(HARDWARE))
     return made
 
 

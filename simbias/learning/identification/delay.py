@@ -77,11 +77,11 @@ class Delay(Identification):
         """Log evidence in nats of the residuals along the rollouts."""
         data = Transitions.empty(len(self._task.states), len(self._task.inputs))
         for rollout in rollouts:
-            states, sent = rollout.with_history()
+            states, sent, earlier = rollout.with_history()
             x = states[:-1]
             inputs = np.concatenate([x, model.acted_along(x, sent)], axis=1)
-            own = slice(len(sent) - rollout.frames, None)
-            data |= Transitions(inputs[own], (states[1:] - model.along(x, sent))[own])
+            residuals = states[1:] - model.along(x, sent)
+            data |= Transitions(inputs[earlier:], residuals[earlier:])
         return mode(self._medians, data, self._learning)[1]
 
 

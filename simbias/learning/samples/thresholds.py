@@ -116,10 +116,9 @@ class Thresholds(Samples):
         states, window = rollout.states, self._window_of(rollout)
         if rollout.frames < window:
             return Transitions.empty(states.shape[1], rollout.inputs.shape[1]), np.empty(0, np.int64)
-        before, sent = rollout.with_history()
-        own = slice(len(sent) - rollout.frames, None)
-        residuals = states[1:] - nominal.along(before[:-1], sent)[own]  # Eq. 6
-        acted = nominal.acted_along(before[:-1], sent)[own]
+        recorded, sent, earlier = rollout.with_history()
+        residuals = states[1:] - nominal.along(recorded[:-1], sent)[earlier:]  # Eq. 6
+        acted = nominal.acted_along(recorded[:-1], sent)[earlier:]
         weights = line_weights(window)
         columns = (states[:-1], acted, states[1:], residuals)
         x, u, x_next, residuals = (

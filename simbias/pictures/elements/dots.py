@@ -2,14 +2,28 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 from matplotlib.transforms import ScaledTranslation
 
 from simbias.core.records import Array, Flags
 
 SPREAD = 0.8  # of a row's height, over which overlapping dots are spread
 FEW, ASIDE = 5, 1.6 / 72  # dots that fit above each other; in, horizontal offset of more dots
+
+
+def dot_marks(color: str) -> dict[str, Artist]:
+    """Marks of a legend of trials."""
+    dot: dict[str, Any] = {"color": color, "marker": "o", "markersize": 4, "linestyle": ""}
+    return {
+        "trial that succeeds": Line2D([], [], **dot),
+        "trial that never does": Line2D([], [], markerfacecolor="white", **dot),
+        "mean": Line2D([], [], color="0.2", marker="|", markersize=10, linestyle=""),
+    }
 
 
 def draw_dots(

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from textwrap import fill
-from typing import Any
 
 import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
-from simbias.pictures.elements.dots import draw_dots
+from simbias.pictures.elements.dots import dot_marks, draw_dots
 from simbias.pictures.elements.layout import legend
 from simbias.pictures.elements.style import HARDWARE, LIMIT, SIMULATION, literal, plain
 from simbias.sweep.batches import Outcomes
@@ -99,12 +98,6 @@ def _figure(numbers: pd.DataFrame, cells: Sequence[str], words: str) -> Figure:
     right.axvline(RELIABLE, color=LIMIT, linewidth=0.8, linestyle="--", zorder=0)
     left.set_yticks(range(len(cells)), labels)
     left.set_ylim(len(cells) - 0.4, -0.6)
-    dot: dict[str, Any] = {"color": "0.2", "marker": "o", "markersize": 4, "linestyle": ""}
-    marks = {
-        "trial that succeeds": Line2D([], [], **dot),
-        "trial that never does": Line2D([], [], markerfacecolor="white", **dot),
-        "mean": Line2D([], [], color="0.2", marker="|", markersize=10, linestyle=""),
-        f"{RELIABLE:.0%} of episodes": Line2D([], [], color=LIMIT, linewidth=0.8, linestyle="--"),
-    }
-    legend(figure, marks)
+    reliable = Line2D([], [], color=LIMIT, linewidth=0.8, linestyle="--")
+    legend(figure, {**dot_marks("0.2"), f"{RELIABLE:.0%} of episodes": reliable})
     return figure
