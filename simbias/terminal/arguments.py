@@ -64,7 +64,7 @@ def parse(arguments: Sequence[str] | None, version: str) -> argparse.Namespace:
     """
     own = argparse.ArgumentParser(prog=PROGRAM, add_help=False, allow_abbrev=False)
     own.add_argument("--config-dir", metavar="DIR", help="a folder with your own groups, options and sweeps/")
-    allowed = "let configs name classes of this module (of modules beside DIR, they may); may be repeated"
+    allowed = "let configs use classes of this module (those beside DIR are allowed anyway); may be repeated"
     own.add_argument("--allow", metavar="MODULE", action="append", default=[], help=allowed)
     own.add_argument("--version", action="version", version=f"simbias {version}")
     shown = argparse.ArgumentParser(prog=PROGRAM, add_help=False, allow_abbrev=False, parents=[own])
