@@ -172,10 +172,12 @@ def _run(parsed: argparse.Namespace) -> int:
     if "sweep" in composition.config:
         from simbias.terminal import sweep
 
+        if parsed.earlier:
+            raise ConfigError("--continue", "a sweep continues no trial")
         return sweep.run(variations, composition, _command(parsed))
     from simbias.terminal import trial
 
-    return trial.run(composition, _command(parsed))
+    return trial.run(composition, _command(parsed), parsed.earlier, parsed.config_dir, parsed.allow)
 
 
 def _show_config(parsed: argparse.Namespace) -> int:
@@ -224,7 +226,8 @@ def _command(parsed: argparse.Namespace) -> str:
     """The command line as text, for repeating the command."""
     config_dir = ["--config-dir", parsed.config_dir] if parsed.config_dir else []
     allow = [word for module in parsed.allow for word in ("--allow", module)]
-    return f"{python()} {shlex.join(['-m', 'simbias', *config_dir, *allow, *parsed.overrides])}"
+    earlier = ["--continue", str(parsed.earlier)] if parsed.earlier else []
+    return f"{python()} {shlex.join(['-m', 'simbias', *config_dir, *allow, *parsed.overrides, *earlier])}"
 
 
 COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {

@@ -8,6 +8,7 @@ from typing import Any
 
 from simbias.core import markdown
 from simbias.core.messages import counted
+from simbias.trial.continuation import continued
 from simbias.trial.folder import Withdrawal
 from simbias.trial.summary import COLUMNS, IDENTIFIED, PARAMETERS, Outcome, TrialSummary, cells, parameters
 
@@ -37,6 +38,7 @@ def note(
         _under_way(rows, running) if summary is None else _verdict(summary),
         f"{markdown.text(description['title'])}. Seed {description['seed']}, trial `{description['hash']}`.",
     ]
+    parts += filter(None, [continued(description)])
     parts += [f"**Withdrawn**: {markdown.text(str(each))}." for each in withdrawals]
     if rows:
         parts.append(markdown.table(COLUMNS, map(cells, rows[-SHOWN_ROWS:])).rstrip())

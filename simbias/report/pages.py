@@ -24,6 +24,7 @@ from simbias.pictures.trial.gallery import FIGURES
 from simbias.sweep.folder import CHANGED, SWEEP, SweepFolder, sweep_folders
 from simbias.sweep.results import SHOWN
 from simbias.sweep.tables import left_out
+from simbias.trial.continuation import continued
 from simbias.trial.disk import write_whole
 from simbias.trial.folder import TRIAL, TrialFolder
 from simbias.trial.run import TrialRecord
@@ -69,7 +70,8 @@ def _trial_parts(record: TrialRecord, folder: TrialFolder) -> Iterator[str]:
     yield html.paragraph(f"{summary.outcome.verdict} after {summary.effort}. {summary.reason}")
     for finding in summary.findings:
         yield html.paragraph(finding)
-    notes = [*summary.diagnostics, *map(str, record.withdrawn)]
+    origin = filter(None, [continued(folder.description())])
+    notes = [*origin, *summary.diagnostics, *map(str, record.withdrawn)]
     if notes:
         yield html.items(notes)
     yield html.heading("Iterations")

@@ -41,6 +41,7 @@ examples:
   python -m simbias ui                 # open MLflow; `ui HASH` at a trial or a sweep
   python -m simbias pictures trials/7a29f4c5425f my_pictures   # PNG, SVG and GIF
   python -m simbias identify RECORDINGS preset=double_pendulum   # a model from CSV files
+  python -m simbias method.max_iterations=20 --continue trials/7a29f4c5425f   # keeps its experiments
   python -m simbias withdraw trials/7a29f4c5425f/0004_experiment.npz --reason "a loose cable"
   python -m simbias preview            # what the first experiment is predicted to do; none is run
 
@@ -120,6 +121,8 @@ def _add_composed(
         "It writes trials/<hash>, and for a sweep also trials/sweeps/<name>_<hash>, unless tracking=none."
     )
     run = _add(commands, RUN, "run or resume a trial or a sweep (the default)", of_run, **text)
+    earlier = "begin with the steps of an ended trial, if only budget or method.max_iterations differ"
+    run.add_argument("--continue", dest="earlier", metavar="TRIAL", type=Path, help=earlier)
     check = _add(commands, "check", "run the conformance suite on components", parents=[shown])
     about = "show what the first experiment is predicted to do"
     preview = _add(commands, "preview", about, "It writes preview.png.", parents=[shown])
@@ -143,7 +146,7 @@ def _add_of_recordings(commands: Any, own: argparse.ArgumentParser) -> None:
         each.add_argument("words", nargs="*", metavar="recording|override", help="files, folders, overrides")
         each.add_argument("--columns", metavar="YAML", help="'{pos1: q1, vel1: dq1}', or a YAML file")
         each.add_argument("--into", default=into, metavar="PATH", help=f"for the results (default: {into})")
-        each.set_defaults(held_out=[])
+        each.set_defaults(held_out=[], earlier=None)
     held_out = "held-out recordings, which are predicted but never fitted"
     identify.add_argument("--held-out", nargs="+", default=[], metavar="FILE", help=held_out)
     attach = "then start a trial with the identified model"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from simbias.config import Composition, ConfigError
 from simbias.config.build import build, service
+from simbias.config.stored import read_folder
 from simbias.core import Model, Policy
 from simbias.core.commands import BAD_INPUT, FAILED, SUCCEEDED, WAITING
 from simbias.core.messages import brief, counted, with_type
@@ -24,7 +25,7 @@ from simbias.sweep.tracking import Export, Tracking
 from simbias.terminal.lines import say, standard_output, temporary_traceback
 from simbias.terminal.notices import preparing, slowness_in_one_line
 from simbias.testing.rehearsal import rehearse
-from simbias.trial import diagnostics
+from simbias.trial import continuation, diagnostics
 from simbias.trial.diagnostics import Remark
 from simbias.trial.folder import TRIAL, TrialFolder
 from simbias.trial.model_selection import WINDOW
@@ -35,9 +36,21 @@ from simbias.trial.run import TrialRecord, run_trial
 from simbias.trial.study import Study
 from simbias.trial.summary import Outcome, TrialSummary
 
+CONTINUE = "With a larger method.max_iterations or budget, {} {} keeps these experiments."
 
-def run(composition: Composition, again: str) -> int:
-    """Run or resume one trial; `again` is the command that does so."""
+
+def run(
+    composition: Composition,
+    again: str,
+    earlier: Path | None = None,
+    config_dir: str | None = None,
+    allow: Sequence[str] = (),
+) -> int:
+    """Run or resume one trial; `again` is the command that does so.
+
+    It begins with the steps of the trial in the folder `earlier`, if given. That one's own code is found as
+    for `simbias.load_trial`.
+    """
     service(composition, "engine", Engine)  # a single trial needs no engine, but an invalid one is bad input
     tidy()  # a finished trial creates no folder, which would do this
     store: Tracking = service(composition, "tracking", Tracking)
@@ -45,12 +58,16 @@ def run(composition: Composition, again: str) -> int:
         with preparing():
             study = build(composition)
             rehearse(study)
-        return _run_study(study, store, again)
+            folder = store.trial_folder(study.hash)
+            if earlier and folder is None:
+                raise ConfigError(continuation.OPTION, "nothing would be kept with tracking=none")
+            if earlier and folder:
+                continuation.continue_trial(study, folder, read_folder(earlier, config_dir, allow), earlier)
+        return _run_study(study, folder, store, again)
 
 
-def _run_study(study: Study, store: Tracking, again: str) -> int:
-    """Run, resume or replay a trial as far as possible."""
-    folder = store.trial_folder(study.hash)
+def _run_study(study: Study, folder: Path | None, store: Tracking, again: str) -> int:
+    """Run, resume or replay a trial as far as possible; without a folder, nothing is kept."""
     export = store.export_trial(folder) if folder else Export()
     replayed = folder is not None and _ended(TrialFolder(folder))
     if folder is not None and (changed := changed_since(study, folder)):
@@ -73,6 +90,8 @@ def _run_study(study: Study, store: Tracking, again: str) -> int:
     summary = record.summary
     if summary.outcome.final:
         console.conclude(record, export.where, replayed)
+        if folder and summary.outcome is Outcome.NOT_SUCCEEDED:
+            print(CONTINUE.format(continuation.OPTION, folder))
         return SUCCEEDED if summary.outcome is Outcome.SUCCEEDED else FAILED
     kept = f"{counted(summary.experiments, 'hardware experiment')} kept" if folder else "nothing is kept"
     if summary.outcome is Outcome.ERROR and not record.traceback:  # a bad key or file; see the reason
