@@ -224,6 +224,7 @@ class TrialConsole(Observer):
         say(self._console, f"{line}  {sum(iteration.seconds.values()):>7.1f}{notes}", markup=True)
         if learning and learning.log_likelihoods:
             say(self._console, f"     {likelihoods_text(learning.log_likelihoods)}")
+        self._remark(diagnostics.of_inputs(iteration.experiments, self._study.task), again=True)
         self._remark(diagnostics.of_reset(iteration, self._study.cost.max_cost))
         if learning and not iteration.succeeded:
             self._remark(diagnostics.of_selection(learning.selection))

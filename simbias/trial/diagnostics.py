@@ -23,6 +23,7 @@ from simbias.trial.study import Study
 NEARER, EARLIER = 0.95, 0.9  # of the least distance in the first 90%: a last one below is still falling
 ROUGH = 0.5  # of the residuals' root mean square: larger errors of a sparse posterior are reported
 STARTS = 20  # simulated for a policy if the task does not define success
+CHATTER = 0.1  # of an input's range: a larger mean change from frame to frame is reported
 SAME = 1e-6  # of a policy's largest parameter: smaller differences are ignored
 
 _simulated: WeakKeyDictionary[Iteration, tuple[Remark, ...]] = WeakKeyDictionary()
@@ -217,9 +218,27 @@ def of_selection(selection: Selection) -> Iterator[Remark]:
     yield Remark("experiments without a sample to learn from", f"no samples to learn from: {why}")
 
 
+def of_inputs(experiments: Sequence[Rollout], task: Task) -> Iterator[Remark]:
+    """A remark if an input changes much from frame to frame in the experiments, which wears a robot."""
+    lower, upper = task.input_bounds
+    steps = [np.diff(each.inputs, axis=0) / (upper - lower) for each in experiments if each.frames > 1]
+    if not steps:
+        return
+    changes = np.abs(np.concatenate(steps)).mean(axis=0)
+    worst = int(np.argmax(changes))
+    if changes[worst] > CHATTER:
+        yield Remark(
+            "an input chatters",
+            f"{task.inputs[worst].name} changes by {changes[worst]:.0%} of its range from frame to frame, on "
+            "average, so motors get hot and gears wear; a filter or an observer of noisy rates may help "
+            "(policy.filter_seconds, policy.observer)",
+        )
+
+
 def of_iteration(iteration: Iteration, earlier: Sequence[Iteration], study: Study) -> list[Remark]:
     """Everything odd about a finished iteration, except a cleared model, which is no fault."""
     found = [*of_policy(iteration.parameters, iteration.search, earlier), *_of_simulations(iteration, study)]
+    found += of_inputs(iteration.experiments, study.task)
     if iteration.learning is not None and not iteration.succeeded:
         found += of_selection(iteration.learning.selection)
     return found

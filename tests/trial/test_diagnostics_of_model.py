@@ -1,4 +1,4 @@
-"""A policy that stands on what the data do not determine of its identified model."""
+"""What a trial remarks on: undetermined parameters that a policy stands on, residuals, chattering inputs."""
 
 from dataclasses import replace
 
@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 import simbias
-from simbias.core.records import Iteration
+from simbias.core.records import Iteration, Rollout
 from simbias.learning.bias.none import ConstantBias
 from simbias.learning.identification.directions import undetermined
 from simbias.learning.identification.identified import Identified
 from simbias.search.evaluation.robust import Robust
 from simbias.search.lqr import INPUT_WEIGHTS, lqr_policies
-from simbias.trial.diagnostics import of_model, of_prediction, of_trial
+from simbias.trial.diagnostics import of_inputs, of_model, of_prediction, of_trial
 from simbias.trial.study import Study
 from simbias.trial.summary import iteration_summary
 
@@ -79,3 +79,20 @@ def test_nothing_is_said_where_the_policy_lasts_or_all_is_determined(study: Stud
     assert of_spread(study, 0.6)[1] == []
     assert undetermined(of_spread(study, 0.4)[0]) == []
     assert list(of_model(np.zeros(2), study.model(), study.cost)) == []
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.09, False), (0.11, True)])
+def test_an_input_that_changes_much_from_frame_to_frame_is_told(
+    study: Study, share: float, told: bool
+) -> None:
+    """As a share of its range, on average over experiments; an experiment of one frame tells nothing."""
+    (force,) = study.task.inputs
+    swing = share * np.subtract(*study.task.input_bounds[::-1]) / 2.0
+    states, inputs = np.zeros((101, 4)), np.where(np.arange(100)[:, None] % 2, swing, -swing)
+    said = [
+        each.words
+        for each in of_inputs([Rollout(states, inputs), Rollout(states[:2], inputs[:1])], study.task)
+    ]
+    assert len(said) == told
+    assert not told or said[0].startswith(f"{force.name} changes by 11% of its range from frame to frame")
+    assert not list(of_inputs([Rollout(states[:2], inputs[:1])], study.task))
