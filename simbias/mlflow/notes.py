@@ -8,7 +8,6 @@ from typing import Any
 
 from simbias.core import markdown
 from simbias.core.messages import counted
-from simbias.trial.continuation import continued
 from simbias.trial.folder import Withdrawal
 from simbias.trial.summary import COLUMNS, IDENTIFIED, PARAMETERS, Outcome, TrialSummary, cells, parameters
 
@@ -32,13 +31,14 @@ def note(
     summary: TrialSummary | None,
     running: bool,
     withdrawals: Sequence[Withdrawal] = (),
+    origin: Sequence[str] = (),
 ) -> str:
-    """The verdict, the trial, withdrawals, and a row for each iteration, at most the last `SHOWN_ROWS`."""
+    """The verdict, the trial and its origin, withdrawals, and rows of the last `SHOWN_ROWS` iterations."""
     parts = [
         _under_way(rows, running) if summary is None else _verdict(summary),
         f"{markdown.text(description['title'])}. Seed {description['seed']}, trial `{description['hash']}`.",
     ]
-    parts += filter(None, [continued(description)])
+    parts += origin
     parts += [f"**Withdrawn**: {markdown.text(str(each))}." for each in withdrawals]
     if rows:
         parts.append(markdown.table(COLUMNS, map(cells, rows[-SHOWN_ROWS:])).rstrip())

@@ -14,6 +14,7 @@ from simbias.core.records import Iteration
 from simbias.mlflow import notes
 from simbias.mlflow.pages import NOTE, PARENT, run_page
 from simbias.mlflow.runs import Point, RunExport, Runs
+from simbias.trial.continuation import continued
 from simbias.trial.disk import LOCK, is_locked
 from simbias.trial.folder import PICTURES, TrialFolder
 from simbias.trial.summary import Outcome, TrialSummary
@@ -60,7 +61,9 @@ class TrialExport(RunExport):
         tags = _tags(summary) if summary else {}
         for tag in {"error", "waiting", "outcome"} & run.data.tags.keys() - tags.keys():
             self.runs.client.delete_tag(run.info.run_id, tag)
-        tags[NOTE] = notes.note(description, iterations, summary, running, folder.withdrawals())
+        tags[NOTE] = notes.note(
+            description, iterations, summary, running, folder.withdrawals(), continued(folder)
+        )
         files: dict[str, Path | bytes] = {"config.yaml": as_yaml(description["config"])}
         files |= {artifact(file.relative_to(self.path)): file for file in folder.files()}
         given = {key: each for key, each in parameters(description).items() if key not in run.data.params}

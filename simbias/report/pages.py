@@ -70,8 +70,7 @@ def _trial_parts(record: TrialRecord, folder: TrialFolder) -> Iterator[str]:
     yield html.paragraph(f"{summary.outcome.verdict} after {summary.effort}. {summary.reason}")
     for finding in summary.findings:
         yield html.paragraph(finding)
-    origin = filter(None, [continued(folder.description())])
-    notes = [*origin, *summary.diagnostics, *map(str, record.withdrawn)]
+    notes = [*continued(folder), *summary.diagnostics, *map(str, record.withdrawn)]
     if notes:
         yield html.items(notes)
     yield html.heading("Iterations")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from rich.console import Console
@@ -62,7 +63,8 @@ def run(
             if earlier and folder is None:
                 raise ConfigError(continuation.OPTION, "nothing would be kept with tracking=none")
             if earlier and folder:
-                continuation.continue_trial(study, folder, read_folder(earlier, config_dir, allow), earlier)
+                reading = partial(read_folder, config_dir=config_dir, allow=allow)
+                continuation.continue_trial(study, folder, earlier, reading)
         return _run_study(study, folder, store, again)
 
 
@@ -90,7 +92,8 @@ def _run_study(study: Study, folder: Path | None, store: Tracking, again: str) -
     summary = record.summary
     if summary.outcome.final:
         console.conclude(record, export.where, replayed)
-        if folder and summary.outcome is Outcome.NOT_SUCCEEDED:
+        limited = study.config["method"].get("max_iterations") == study.method.max_iterations
+        if folder and limited and summary.outcome is Outcome.NOT_SUCCEEDED:
             print(CONTINUE.format(continuation.OPTION, folder))
         return SUCCEEDED if summary.outcome is Outcome.SUCCEEDED else FAILED
     kept = f"{counted(summary.experiments, 'hardware experiment')} kept" if folder else "nothing is kept"

@@ -1,7 +1,8 @@
 """The folder of a trial: its config and all its steps, append-only.
 
     trial.json              composed config, chosen options, versions, the user's own code; written first
-    attempts.jsonl          a line for each start of a process, each stop, each withdrawal
+    attempts.jsonl          a line for each start of a process, each stop, each withdrawal, and first for the
+                            trial that this one continues, if any
     0000_search.json        the steps in the order in which they ended:
     0001_experiment.npz     searches, hardware experiments,
     0002_iteration.json     iterations, with all their measured numbers,
@@ -28,7 +29,7 @@ from contextlib import AbstractContextManager, suppress
 from dataclasses import asdict, dataclass
 from math import nan
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from simbias.core.errors import ConfigError
 from simbias.core.messages import counted, quote, with_type, words
@@ -42,7 +43,8 @@ SEARCH, EXPERIMENT, ITERATION = "search.json", "experiment.npz", "iteration.json
 EPISODE = "test_episode.npz"
 STEP = re.compile(rf"[0-9]{{4,}}_({'|'.join(map(re.escape, (SEARCH, EXPERIMENT, ITERATION, EPISODE)))})")
 AFTER = re.compile(r"outcome_([0-9]+)\.json")  # an outcome after this many withdrawals
-KINDS = {"started", "stopped", "withdrawn"}  # of lines in attempts.jsonl
+CONTINUES = "continues"  # key of a first line in attempts.jsonl: the trial that this one continues
+KINDS = {"started", "stopped", "withdrawn", CONTINUES}  # of lines in attempts.jsonl
 PICTURES = "pictures"
 REMEDY = "Running its trial again recreates it from the steps"  # the remedy for an unreadable outcome
 LOCK_SECONDS = 5.0  # that a worker waits for the system to release the lock of a killed predecessor
@@ -64,6 +66,15 @@ class Withdrawal:
 
     def __str__(self) -> str:
         return f"{self.experiment} was withdrawn{f': {self.reason}' if self.reason else ''}"
+
+
+class Origin(NamedTuple):
+    """An earlier trial, with the steps of which another one begins."""
+
+    hash: str
+    experiments: int  # that counted
+    seconds: float  # its wall time
+    platforms: list[str]
 
 
 @dataclass(frozen=True)
@@ -137,13 +148,24 @@ class TrialFolder:
 
     def platforms(self) -> list[str]:
         """The platforms that the trial ran on, in their order."""
-        return list(dict.fromkeys(each["platform"] for each in self.attempts() if "platform" in each))
+        earlier = origin.platforms if (origin := self.continues) else []
+        own = [each["platform"] for each in self.attempts() if "platform" in each]
+        return list(dict.fromkeys([*earlier, *own]))
+
+    @property
+    def continues(self) -> Origin | None:
+        """The trial that this one continues (see `continuation`), if any; ConfigError if damaged."""
+        try:
+            return next((Origin(**each[CONTINUES]) for each in self.attempts() if CONTINUES in each), None)
+        except TypeError as error:
+            raise ConfigError(str(self.path / ATTEMPTS), f"cannot be read ({with_type(error)})") from error
 
     def seconds(self) -> float:
         """Wall time in s of all attempts except killed ones."""
         stopped = (each.get("stopped") for each in self.attempts())
         stops = [float(each.get("seconds") or 0.0) for each in stopped if isinstance(each, dict)]
         stops += [each.seconds for each in self.withdrawals()]
+        stops += [origin.seconds] if (origin := self.continues) else []
         return max(stops, default=0.0)  # each includes the attempts before it
 
     def withdrawals(self) -> list[Withdrawal]:

@@ -21,7 +21,7 @@ from simbias.core.messages import words
 from simbias.core.records import Array, Iteration, Optimum, Rollout
 from simbias.lab.checked_hardware import MakeExperiment, place_of
 from simbias.lab.checks import check_rollout
-from simbias.lab.requests.folder import POLICY
+from simbias.lab.requests.folder import POLICY, WITHDRAWN
 from simbias.trial.disk import (
     append_line,
     loaded,
@@ -52,6 +52,7 @@ ERROR, REFUSED = "error_", "refused_"
 ROUNDING = 1e-6  # allowed difference of a computed policy, such as LQR, between platforms
 COMPARED = ("iteration", "total_experiments", "succeeded")  # between an iteration and its replay
 SHARED = "simbias: %s was made for another trial, before this one began; it counts in both"
+ELSEWHERE = "simbias: %s: its answer %s was withdrawn in another trial; if it is bad, withdraw it here, too"
 MIXED = "simbias: trial %s mixes platforms, so its last bits match neither: %s; now %s"
 
 
@@ -125,6 +126,8 @@ class FolderRecord(Record):
             if not self._fits(rollout, theta):
                 raise changed(path)
             self._episodes += self.testing
+            if rollout.source and Path(rollout.source).with_name(WITHDRAWN).exists():
+                logging.getLogger(__name__).warning(ELSEWHERE, path, rollout.source)
             return rollout
         place = place_of(rng)
         superseded, withdrawn = self._former(kind, theta, place)

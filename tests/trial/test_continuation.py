@@ -1,5 +1,6 @@
 """A trial with larger limits begins with the steps of one that ended without success."""
 
+import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,10 +13,11 @@ from records import assert_equal, step_names, timeless
 
 import simbias
 from simbias.__main__ import main
+from simbias.config.stored import read_folder
 from simbias.core.records import Rollout
 from simbias.report.pages import trial_page
 from simbias.trial.continuation import continue_trial
-from simbias.trial.folder import EPISODES, TrialFolder, withdraw
+from simbias.trial.folder import TrialFolder, withdraw
 from simbias.trial.run import read_trial, run_trial
 from simbias.trial.study import Study
 from simbias.trial.summary import Outcome
@@ -51,10 +53,11 @@ def test_it_ends_as_a_trial_with_larger_limits(limits: Sequence[str], tmp_path: 
     before = {file.name: file.read_bytes() for file in TrialFolder(tmp_path / "earlier").files()}
     counting, log = counted(more)
     for _ in range(2):  # the same command resumes it
-        continue_trial(counting, tmp_path / more.hash, ended, tmp_path / "earlier")
+        continue_trial(counting, tmp_path / more.hash, tmp_path / "earlier", lambda _: ended)
         record = run_trial(counting, tmp_path / more.hash)
     whole = run_trial(more, tmp_path / "whole")
     assert_equal(timeless(record), timeless(whole))
+    assert record.summary.seconds > ended.summary.seconds
     assert step_names(tmp_path / more.hash) == step_names(tmp_path / "whole")
     assert log.count("made") == whole.summary.experiments - ended.summary.experiments + 2  # the test's
     assert {file.name: file.read_bytes() for file in TrialFolder(tmp_path / "earlier").files()} == before
@@ -63,16 +66,22 @@ def test_it_ends_as_a_trial_with_larger_limits(limits: Sequence[str], tmp_path: 
 
 
 @pytest.mark.slow
-def test_withdrawn_experiments_stay_withdrawn(tmp_path: Path) -> None:
+def test_withdrawn_experiments_stay_out(tmp_path: Path) -> None:
+    """So do withdrawn test episodes; the earlier trial is no longer needed once its steps are copied."""
     earlier, more = failing("method.max_iterations=2"), failing("method.max_iterations=3")
-    run_trial(earlier, tmp_path / "earlier")
-    withdraw(tmp_path / "earlier" / ITS, "a loose cable")
-    ended = run_trial(earlier, tmp_path / "earlier")
-    continue_trial(more, tmp_path / "more", ended, tmp_path / "earlier")
-    assert not (tmp_path / "more" / EPISODES).exists()
-    record = run_trial(more, tmp_path / "more")
-    assert [each.experiment for each in record.withdrawn] == [ITS]
-    assert_equal(timeless(read_trial(more, tmp_path / "more")), timeless(record))
+    source, folder = tmp_path / "earlier", tmp_path / "more"
+    run_trial(earlier, source)
+    for name in (ITS, "0013_test_episode.npz"):
+        withdraw(source / name, "a loose cable")
+        ended = run_trial(earlier, source)
+    kept = [file.read_bytes() for file in TrialFolder(source).steps() if "test" not in file.name]
+    continue_trial(more, folder, source, lambda _: ended)
+    assert [file.read_bytes() for file in TrialFolder(folder).steps()] == kept
+    record = run_trial(more, folder)
+    shutil.rmtree(source)
+    continue_trial(more, folder, source, read_folder)
+    assert record.withdrawn == ()
+    assert_equal(timeless(read_trial(more, folder)), timeless(record))
 
 
 @pytest.mark.slow
@@ -85,17 +94,18 @@ def test_what_cannot_be_continued_is_named(tmp_path: Path) -> None:
     def refuses(words: str, study: Study, outcome: Outcome = Outcome.NOT_SUCCEEDED) -> None:
         other = replace(ended, summary=replace(ended.summary, outcome=outcome))
         with one_line(words):
-            continue_trial(study, folder, other, source)
+            continue_trial(study, folder, source, lambda _: other)
 
     refuses("has succeeded", more, Outcome.SUCCEEDED)
     refuses("has not ended; its own command resumes it", more, Outcome.WAITING)
-    refuses("needs larger limits here", earlier)
-    refuses("needs larger limits here", failing("method.max_iterations=2", "budget.experiments=1"))
+    refuses("has made 1 iteration and 2 experiments, .* s on hardware; raise method.max_iterations$", earlier)
+    spent = failing("method.max_iterations=2", "budget.experiments=2", "budget.seconds=1")
+    refuses("; raise budget.experiments and budget.seconds$", spent)
     other = failing("method.max_iterations=2", "seed=1", "method.experiments=3")
     refuses("differs in method.experiments, seed; only budget and", other)
     assert not folder.exists()
     run_trial(more, folder)
-    refuses("has already begun, without the steps of", more)
+    refuses("began without the steps of", more)
 
 
 def test_the_command_line_continues_a_single_trial_that_is_kept(
