@@ -23,13 +23,7 @@ from simbias.trial.summary import Outcome, TrialSummary
 
 OPTION = "--continue"
 LIMITS = "budget", "method.max_iterations"  # in which the trials may differ
-OF_ITS_STEPS = (
-    "hash",
-    "title",
-    "seed",
-    "choices",
-    "config",
-)  # the rest of trial.json is about the steps' origin
+OWN = "hash", "title", "seed", "choices", "config"  # keys of trial.json; the others are about its first steps
 
 
 def continue_trial(study: Study, folder: Path, source: Path, read: Callable[[Path], TrialRecord]) -> None:
@@ -46,10 +40,8 @@ def continue_trial(study: Study, folder: Path, source: Path, read: Callable[[Pat
     """
     if (folder / TRIAL).exists():
         if TrialFolder(folder).continues is None:
-            problem = (
-                f"is a trial that began without the steps of {source}. Move it away, or leave out {OPTION}"
-            )
-            raise ConfigError(str(folder), problem)
+            began = f"is a trial that began without the steps of {source}"
+            raise ConfigError(str(folder), f"{began}. Move it away, or leave out {OPTION}")
         return
     earlier, old = read(source), TrialFolder(source)
     _check(study, earlier, source)
@@ -63,7 +55,7 @@ def continue_trial(study: Study, folder: Path, source: Path, read: Callable[[Pat
         shutil.copy2(step, part / f"{number:04d}_{step.name.partition('_')[2]}")
     append_line(part / ATTEMPTS, {CONTINUES: origin._asdict()})
     now = description(study)
-    write_json(part / TRIAL, {**old.description(), **{key: now[key] for key in OF_ITS_STEPS}})
+    write_json(part / TRIAL, {**old.description(), **{key: now[key] for key in OWN}})
     part.rename(folder)
 
 
