@@ -9,6 +9,7 @@ import numpy as np
 from simbias.core import Nominal, Policy
 from simbias.core.parameters import values_at
 from simbias.core.records import Array
+from simbias.lab.rates import check_rates, rates_of
 from simbias.simulation.compiler import points_of
 from simbias.simulation.numpy_loop import PlainSimulator
 from simbias.testing.expectations import (
@@ -195,9 +196,15 @@ def _policy_imitates(study: Study) -> None:
         expect(np.isfinite(theta).all(), "policy.imitating", "finite numbers", theta)
 
 
-@check("hardware", "an experiment as the contract says (one is run)")
+@check("hardware", "an experiment as the contract says (one is run, from a drawn start)")
 def _hardware_runs(study: Study) -> None:
-    made = study.experiment(near_zero(study), np.random.default_rng(6), study.task.start_mean)
-    lower, upper = study.task.input_bounds
+    task, rng = study.task, np.random.default_rng(6)
+    made = study.experiment(near_zero(study), rng, task.draw_start(rng))
+    lower, upper = task.input_bounds
     within = (lower <= made.inputs) & (made.inputs <= upper)
     expect(within.all(), "hardware.run", "inputs in limits", "others")
+    for rate, position in rates_of(task).items():
+        x, v = made.states[:, position], made.states[:, rate]
+        moves = f"{task.states[position].name} to change while {task.states[rate].name} is not zero"
+        expect(bool(np.ptp(x)) or not v[:-1].any(), "hardware.run", moves, f"{x[0]:g} throughout")
+    check_rates("hardware.run", [made], task, rates_of(task))

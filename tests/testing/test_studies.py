@@ -1,6 +1,7 @@
 """What is found before a trial begins: robots at rest, boxes without zero, costs of one horizon only."""
 
 import ctypes
+import re
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import replace
@@ -75,6 +76,28 @@ def test_warm_up_and_checks_keep_to_the_policys_box(
     monkeypatch.setattr(narrow.hardware, "run", noted)
     assert problems(narrow, "hardware") == []
     np.testing.assert_array_equal([*thetas, rollout(narrow).parameters], 0.5)
+
+
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [
+        (lambda x: np.tile(x[:1], (len(x), 1)), "to change while .* is not zero"),
+        (lambda x: np.vstack([x[:1], x[1:] * [1.0, 180.0 / np.pi]]), "times as fast as"),
+    ],
+    ids=["one array for all frames", "a rate in another unit"],
+)
+def test_states_of_hardware_that_cannot_be_are_named(
+    point_mass: Study, monkeypatch: pytest.MonkeyPatch, fault: Callable[[Array], Array], said: str
+) -> None:
+    run = point_mass.hardware.run
+
+    def faulty(*arguments: Any) -> Rollout:
+        made = run(*arguments)
+        return replace(made, states=fault(made.states))
+
+    monkeypatch.setattr(point_mass.hardware, "run", faulty)
+    (problem,) = problems(point_mass, "hardware")
+    assert re.search(said, problem), problem
 
 
 @pytest.mark.slow
