@@ -1,9 +1,11 @@
 """What newcomers with a robot of their own fell over: each is said at once, in a line."""
 
+import re
 import warnings
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import point_mass as robot
@@ -16,7 +18,7 @@ from texts import write
 import simbias
 from simbias.__main__ import main
 from simbias.config import ConfigError
-from simbias.core import NOT_A_NUMBER, Cost
+from simbias.core import NOT_A_NUMBER, Bias, Cost, FittedBias, Nominal, error_origin
 from simbias.core.commands import BAD_INPUT
 from simbias.core.ranges import frames_in
 from simbias.core.records import Array, Rollout, Selection, Transitions
@@ -115,6 +117,18 @@ def test_what_an_own_component_breaks_is_one_line_before_the_trial(compilable: S
     said = r"slower.*: Decides.step \(test_newcomers.py:\d+: it branches on a value.*kernels.py"
     with pytest.warns(simbias.core.SlowWarning, match=said):
         rehearse(replace(study, nominal=Decides(study.task)))  # type: ignore[arg-type]
+
+
+def test_an_error_within_a_library_is_told_by_the_method_and_line_that_called_it() -> None:
+    class Inverts(Bias):
+        def fit(self, transitions: Transitions) -> FittedBias:
+            return np.linalg.inv(np.zeros((2, 2)))  # type: ignore[return-value]
+
+    no_data = Transitions.empty(2, 1)
+    with pytest.raises(np.linalg.LinAlgError) as caught:
+        Inverts().learn(no_data, [], cast(Nominal, None))  # which calls `fit`
+    said = r"Inverts\.fit: expected a result, got LinAlgError: Singular matrix \(test_newcomers\.py:\d+\)"
+    assert re.fullmatch(said, error_origin.told(caught.value))
 
 
 @pytest.mark.slow

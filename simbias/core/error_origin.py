@@ -24,9 +24,11 @@ def is_own(component: Any) -> bool:
 
 
 def told(error: BaseException) -> str:
-    """The message of an error, with the class and method if it arose in a user's component."""
+    """The message of an error; if it arose in a user's component, with class, method and the line there."""
     blamed, source, place = None, "", ""
-    for frame, line in traceback.walk_tb(error.__traceback__):
+    frames = [*traceback.walk_tb(error.__traceback__)]
+    users = [(frame, line) for frame, line in frames if is_users(frame.f_code.co_filename)]
+    for frame, line in users or frames:  # a component may also have inherited what raises
         component, code = frame.f_locals.get("self"), frame.f_code
         place = f"{Path(code.co_filename).name}:{line}"
         if isinstance(component, CONTRACTS) and is_own(component) and component is not blamed:

@@ -124,7 +124,10 @@ def drawn(draw: Callable[[], Array], at: Callable[[Array], Nominal]) -> tuple[Ar
 
 
 class Identification(ABC):
-    """Identification of the nominal model's parameters, before a bias is learned from the residuals."""
+    """Identification of the nominal model's parameters, before a bias is learned from the residuals.
+
+    The same data give the same model, since a replayed trial fits again: random numbers need a fixed seed.
+    """
 
     @abstractmethod
     def fit(self, nominal: Nominal, rollouts: Sequence[Rollout]) -> Nominal:
@@ -145,7 +148,7 @@ class Samples(ABC):
 
 
 class Bias(ABC):
-    """A learner of the dynamics bias."""
+    """A learner of the dynamics bias; the same data give the same bias, as for an `Identification`."""
 
     @abstractmethod
     def fit(self, transitions: Transitions) -> FittedBias:

@@ -104,7 +104,11 @@ class Evaluation(ABC):
 
     @abstractmethod
     def objective(self, model: Model, cost: Cost, rng: np.random.Generator) -> Objective:
-        """The predicted cost as a function of theta; its samples are drawn once, from rng."""
+        """The predicted cost as a function of theta; its samples are drawn once, from rng.
+
+        `simbias.simulation.closed_loop.simulator` simulates a model. `model.nominal.draw` and
+        `model.bias.draw` draw from what is known, `model.nominal.parameters` may still be the prior.
+        """
 
 
 class Optimizer(SearchBudget, ABC):
