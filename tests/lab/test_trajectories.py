@@ -326,6 +326,21 @@ def test_angles_that_wrap_are_unwound_before_lines_are_drawn_between_rows() -> N
             frame(Measurements(times, degrees, np.zeros((68, 1))), request, "here")
 
 
+def test_angles_tell_degrees_where_a_robot_is_at_rest() -> None:
+    """Its measured rate is noise. Radians after many turns are no degrees, even 57 times the start."""
+    rng, degrees = np.random.default_rng(0), 180 / np.pi
+    for kind, start, at in ((Turning, 3.2, 3.15), (Turning, 0.11, 0.1), (Pole, 0.06, 0.06)):
+        request = requested(kind(horizon=20), np.array([start, 0.04]))
+        states = np.array([at, 0.0]) + rng.normal(0, [1e-4, 0.05], (21, 2))
+        template = np.array([[start, 0.04]])  # the first row may be simbias's
+        turned = [states + np.array([2 * np.pi * n, 0]) for n in range(32)] if kind is Turning else [states]
+        for accepted in (*turned, *(np.vstack([template, each[1:]]) for each in turned)):
+            assert frame(Measurements(TIMES, accepted, np.zeros((21, 1))), request, "here").failed_at is None
+        for refused in (degrees * states, np.vstack([template, degrees * states[1:]])):
+            with pytest.raises(HardwareError, match="are these degrees"):
+                frame(Measurements(TIMES, refused, np.zeros((21, 1))), request, "here")
+
+
 def test_the_last_input_is_a_mean_where_rows_end_a_little_early() -> None:
     times = 0.004 * np.arange(100)
     rollout = frame(Measurements(times, motion(times)[0], np.full((100, 1), 3.0)), REQUEST, "here")

@@ -34,6 +34,7 @@ GAP = 2.5  # intervals between rows; longer ones are gaps
 COARSEST = 1.05  # of the task's time step: largest distance of rows
 DEGREES, ABOUT = 180 / math.pi, 0.1  # degrees per radian; tolerance of a ratio that suggests it
 NOISE = 1e-3  # rad or rad/s, below which a ratio is not meaningful
+NEAR = 0.3  # rad, modulo a turn: angles that differ by less may be in radians
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,10 +213,15 @@ def _check_start(states: Array, rows: Sequence[int], request: ExperimentRequest,
 
 
 def _in_degrees(x: Array, radians: Array, task: Task) -> bool:
-    """Whether every angle and angular rate in x (n,) is its value in radians (n,), converted to degrees."""
-    angular = np.array([quantity.unit.startswith("rad") for quantity in task.states]) & (
-        np.abs(radians) > NOISE
-    )
+    """Whether x (n,) is like the values in radians (n,), converted to degrees.
+
+    If angles are far apart, the farthest decides alone: near zero, angles and rates are inaccurate or noise.
+    """
+    units = np.array([quantity.unit for quantity in task.states])
+    angular = np.isin(units, ("rad", "rad/s")) & (np.abs(radians) > NOISE)
+    far = angular & (units == "rad") & (np.abs(wrapped(x - radians, task.states)) > NEAR)
+    if far.any():
+        angular = np.arange(len(x)) == np.argmax(np.where(far, np.abs(x - radians), 0.0))
     ratio = x[angular] / radians[angular]
     return bool(len(ratio)) and bool((np.abs(ratio / DEGREES - 1) < ABOUT).all())
 
