@@ -146,7 +146,7 @@ def frame(measured: Measurements, request: ExperimentRequest, source: str) -> Ro
     tell_other_commands(states, inputs, request, source)
     within = times[-1] <= (task.horizon + JITTER) * task.time_step  # a later failure is beyond the horizon
     failure = measured.failure if within else None
-    return _ended(states, inputs, failure, request, f"{source}: row {rows[-1]}")
+    return _ended(states, inputs, failure, unwound[-1], request, f"{source}: row {rows[-1]}")
 
 
 def _tell_what_stands_still(states: Array, task: Task, source: str) -> None:
@@ -277,17 +277,21 @@ def _means(times: Array, inputs: Array, wanted: Array) -> Array:
 
 
 def _ended(
-    states: Array, inputs: Array, failure: str | None, request: ExperimentRequest, end: str
+    states: Array, inputs: Array, failure: str | None, last: Array, request: ExperimentRequest, end: str
 ) -> Rollout:
-    """The rollout up to the first state that failed or was unsafe, or to the failure that the lab reports."""
+    """The rollout up to the first state that failed or was unsafe, or to the failure that the lab reports.
+
+    A recording may end between two frames, at the `last` measured state (n,).
+    """
     task = request.task
     unsafe = np.any(np.abs(states) > request.bounds.states, axis=1)
     acted = np.arange(len(states)) < task.horizon  # no input acts after the last, safe or not
     ends = np.flatnonzero((task.violated(states) >= 0) | (unsafe & acted))
     k = int(ends[0]) if len(ends) else len(inputs)
     if len(ends):
-        beyond = np.flatnonzero(np.abs(states[k]) > request.bounds.states)
-        failure = task.failure(states[k]) or f"unsafe_state_{task.states[beyond[0]].name}"
+        failure = _exceeded(states[k], request)
+    elif k < task.horizon:
+        failure = failure or _exceeded(last, request)
     if failure is None and k < task.horizon:
         raise HardwareError(
             f"{end}: expected {task.horizon} frames of {task.time_step:g} s, but the recording ends after "
@@ -295,3 +299,10 @@ def _ended(
         )
     states, inputs = states[: k + 1], inputs[:k]
     return Rollout(states, inputs, None if failure is None else k, failure, measured=states, sensed=True)
+
+
+def _exceeded(x: Array, request: ExperimentRequest) -> str | None:
+    """The failure or unsafe state in x (n,), if any."""
+    beyond = np.flatnonzero(np.abs(x) > request.bounds.states)
+    unsafe = f"unsafe_state_{request.task.states[beyond[0]].name}" if len(beyond) else None
+    return request.task.failure(x) or unsafe
