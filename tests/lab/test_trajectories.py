@@ -280,6 +280,11 @@ def test_what_comes_back_is_held_against_the_safety_limits(tmp_path: Path) -> No
     assert read(written(tmp_path, cell(8, 2, "-1.6")(moving())[:8]), limited).failed_at == 6
     weak = requested(TASK, REQUEST.start, Safety(inputs={"force": 2.5}))
     assert refusal(path, weak).startswith("row 5, column force: expected at most 2.5 N, got 3")
+    gentle = requested(TASK, REQUEST.start, Safety(input_rates={"force": 140}))
+    for every, row in ((TASK.time_step, 6), (0.01, 10)):  # force falls from 3 N to 0 N after 4 frames
+        assert refusal(written(tmp_path, moving(every)), gentle).startswith(
+            f"row {row}, column force: expected a change by at most 2.8 N in a frame (hardware.safety."
+        )
     slow = requested(TASK, REQUEST.start, Safety(states={"velocity": 1.0}))
     assert refusal(written(tmp_path, cell(2, 2, "-1.1")(moving())), slow).startswith(
         "row 2, column velocity: expected at most 1 m/s, got -1.1"

@@ -18,7 +18,7 @@ from simbias.core.table import POINT, Table, read_table
 from simbias.lab.checks import START_DEVIATIONS, start_tolerance
 from simbias.lab.rates import check_rates, rates_of
 from simbias.lab.requests.request import ExperimentRequest
-from simbias.lab.safety import without_limits
+from simbias.lab.safety import RECORDED_ROUNDING, without_limits
 
 TIME, FAILURE = Quantity("time", "s"), "failure"  # columns in addition to states and inputs
 NO_FAILURE = {"", "-", "none", "nan", "na", "n/a", "null", "no", "ok"}  # how tools denote no failure
@@ -146,7 +146,9 @@ def frame(measured: Measurements, request: ExperimentRequest, source: str) -> Ro
     tell_other_commands(states, inputs, request, source)
     within = times[-1] <= (task.horizon + JITTER) * task.time_step  # a later failure is beyond the horizon
     failure = measured.failure if within else None
-    return _ended(states, inputs, failure, unwound[-1], request, f"{source}: row {rows[-1]}")
+    ended = _ended(states, inputs, failure, unwound[-1], request, f"{source}: row {rows[-1]}")
+    _check_changes(ended.inputs, times, rows, request, source)
+    return ended
 
 
 def _tell_what_stands_still(states: Array, task: Task, source: str) -> None:
@@ -254,7 +256,7 @@ def _check_times(times: Array, rows: Sequence[int], task: Task, source: str) -> 
 
 def _check_inputs(inputs: Array, rows: Sequence[int], request: ExperimentRequest, source: str) -> None:
     """Refuse inputs beyond the limits: they are in another unit, or the limits were not enforced."""
-    (lower, upper), rounding = request.bounds.input_bounds, 1e-6 * request.bounds.inputs
+    (lower, upper), rounding = request.bounds.input_bounds, RECORDED_ROUNDING * request.bounds.inputs
     beyond = np.argwhere((inputs < lower - rounding) | (inputs > upper + rounding))
     if len(beyond):
         row, column = beyond[0]
@@ -264,6 +266,23 @@ def _check_inputs(inputs: Array, rows: Sequence[int], request: ExperimentRequest
         raise HardwareError(
             f"{source}: row {rows[row]}, column {quantity.name}: expected {limit} {quantity.unit}, "
             f"got {given:g}"
+        )
+
+
+def _check_changes(
+    inputs: Array, times: Array, rows: Sequence[int], request: ExperimentRequest, source: str
+) -> None:
+    """Refuse inputs (k, m) that change by more than their limit from one frame to the next."""
+    time_step = request.task.time_step
+    limits, changes = request.bounds.input_rates * time_step, np.abs(np.diff(inputs, axis=0))
+    beyond = np.argwhere(changes > limits * (1 + RECORDED_ROUNDING))
+    if len(beyond):
+        before, column = beyond[0]
+        quantity, row = request.task.inputs[column], np.searchsorted(times, (before + 1 - JITTER) * time_step)
+        raise HardwareError(
+            f"{source}: row {rows[row]}, column {quantity.name}: expected a change by at most "
+            f"{limits[column]:g} {quantity.unit} in a frame (hardware.safety.input_rates), "
+            f"got {changes[before, column]:g}"
         )
 
 
