@@ -32,7 +32,7 @@ BEGIN_SECONDS = 0.2  # for a thread to start
 MESSAGE_LENGTH = 250  # characters of an error raised by hardware
 
 
-def ask(policy: Policy, theta: Array, start: Array) -> bool:
+def ask(policy: Policy, theta: Array, start: Array, horizon: int) -> bool:
     """Ask a person whether the hardware may be used; without a terminal it may not."""
     try:
         answer = input("Run this experiment, and those that follow, on the hardware? [y/N] ")
@@ -56,13 +56,13 @@ class ExperimentConditions:
     confirm
         Whether a person must confirm before the first experiment.
     ask
-        Function that asks whether a policy with theta (p,) may run from a start (n,).
+        Function that asks whether a policy with theta (p,) may run from a start (n,) for a number of frames.
     """
 
     timeout: float | None = None
     safety: Safety = NO_LIMITS
     confirm: bool = False
-    ask: Callable[[Policy, Array, Array], bool] = ask
+    ask: Callable[[Policy, Array, Array, int], bool] = ask
 
 
 DEFAULT_CONDITIONS = ExperimentConditions()
@@ -121,7 +121,7 @@ class CheckedHardware(Hardware):
         self._task, self._targets = task.without_targets, task.targets
         self._timeout = conditions.timeout
         self._bounds = conditions.safety.bounds(task.without_targets) if conditions.safety.limits else None
-        self._ask = conditions.ask if conditions.confirm else None
+        self._unconfirmed = [conditions.ask] if conditions.confirm else []  # shared with copies
         self._record = record
         self._returned: Any = None  # the hardware's result in the latest experiment
         self.sets_start = hardware.sets_start
@@ -156,10 +156,10 @@ class CheckedHardware(Hardware):
         return make(rng) if self._record is None else self._record.experiment(theta, rng, make)
 
     def _make(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
-        if self._ask is not None:
-            if not self._ask(policy, theta, start):
+        for allows in self._unconfirmed:
+            if not allows(policy, theta, start, self._task.horizon):
                 raise Waiting("the experiment was not confirmed (hardware.confirm=true)")
-            self._ask = None
+        self._unconfirmed.clear()
         start, targets = np.split(start, [len(self._task.states)])
         policy = WithTargets(policy, targets, self._targets) if len(targets) else policy
         returned = self._run(policy, theta.copy(), start.copy(), rng)  # the hardware may overwrite its copies

@@ -54,7 +54,7 @@ def preview(overrides: Sequence[str], config_dir: str | None, allow: Sequence[st
 
 def first_prediction(study: Study) -> Prediction:
     """Simulate the first experiment of a trial on the model used to search its policy."""
-    asked: list[tuple[Policy, Array, Array]] = []
+    asked: list[tuple[Policy, Array, Array, int]] = []
 
     def refuse(*experiment: Any) -> bool:
         asked.append(experiment)
@@ -63,7 +63,7 @@ def first_prediction(study: Study) -> Prediction:
     conditions = replace(study.conditions, confirm=True, ask=refuse)
     with suppress(Waiting):
         next(replace(study, conditions=conditions).run())
-    policy, theta, start = asked[0]
+    policy, theta, start, _ = asked[0]
     return predict(replace(study, policy=policy), theta, start, nominal=study.first_model().nominal)
 
 

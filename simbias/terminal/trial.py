@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -191,17 +192,22 @@ class TrialConsole(Observer):
         words = f"hardware experiment {self._experiments + 1} under way"
         self._progress.update(self._bar, description=words, completed=0, best="")
 
-    def ask(self, policy: Policy, theta: Array, start: Array) -> bool:
+    def ask(self, policy: Policy, theta: Array, start: Array, horizon: int) -> bool:
         """Show the prediction of an experiment, and ask whether it may be run, while the screen is still."""
         from simbias.terminal.preview import describe
 
         self._progress.stop()
-        study, model = replace(self._study, policy=policy), self._model
+        task, cost, model = self._study.task, self._study.cost, self._model
+        if horizon != task.horizon:  # of a long test episode
+            task = task.with_horizon(horizon)
+            with suppress(NotImplementedError):  # then its cost is that of the task's horizon
+                cost = cost.with_horizon(horizon)
+        study = replace(self._study, task=task, cost=cost, policy=policy)
         bias, nominal = (model.bias, model.nominal) if model else (None, None)
         bounds = study.conditions.safety.bounds(study.task)
         for line in describe(study, predict(study, theta, start, bias, nominal), bounds):
             say(self._console, line)
-        allowed = ask(policy, theta, start)
+        allowed = ask(policy, theta, start, horizon)
         self._progress.start()
         return allowed
 

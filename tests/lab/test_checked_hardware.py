@@ -123,7 +123,7 @@ class Memory:
 def test_a_record_replays_keeps_and_takes_what_is_refused(point_mass: Study) -> None:
     """A replayed experiment is not made: nobody is asked, and the hardware rests."""
     task, policy, record, asked = point_mass.task, point_mass.policy, Memory(), []
-    conditions = ExperimentConditions(confirm=True, ask=lambda policy, theta, start: not asked.append(start))
+    conditions = ExperimentConditions(confirm=True, ask=lambda *asked_for: not asked.append(asked_for))
     faults = iter([lambda rollout: rollout, RETURNED["NaN"]])
     hardware = Doing(point_mass.hardware, lambda rollout: next(faults)(rollout))
     checked = CheckedHardware(hardware, task, conditions, record)

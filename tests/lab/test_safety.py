@@ -315,7 +315,9 @@ def test_a_preview_is_of_the_first_experiment_whatever_its_policy(preset: str) -
 
 
 @pytest.mark.slow
-def test_a_person_is_asked_once(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_person_is_asked_once(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], point_mass: Study
+) -> None:
     answers: tuple[tuple[Any, int], ...] = (("y", SUCCEEDED), ("no", WAITING), (EOFError(), WAITING))
     for answer, status in answers:
         asked: list[str] = []
@@ -332,13 +334,17 @@ def test_a_person_is_asked_once(monkeypatch: pytest.MonkeyPatch, capsys: pytest.
         captured = capsys.readouterr()
         assert "Predicted: 2.00 s, cost " in captured.out
         assert ("the experiment was not confirmed" in captured.err) == (status == WAITING)
+    monkeypatch.setattr("builtins.input", lambda question: "y")
+    task = point_mass.task
+    assert TrialConsole(point_mass).ask(point_mass.policy, THETA, task.start_mean, task.frames(3.0))
+    assert "Predicted: 3.00 s, cost " in capsys.readouterr().out
 
 
 @pytest.mark.slow
 def test_what_is_replayed_is_not_asked_for(point_mass: Study, tmp_path: Path) -> None:
     starts: list[Array] = []
 
-    def allow_first(policy: Policy, theta: Array, start: Array) -> bool:
+    def allow_first(policy: Policy, theta: Array, start: Array, horizon: int) -> bool:
         starts.append(start)
         return len(starts) == 1
 

@@ -13,6 +13,7 @@ from records import assert_equal, timeless
 import simbias
 from simbias.core import HardwareError
 from simbias.core.records import Rollout
+from simbias.lab.checked_hardware import ExperimentConditions
 from simbias.trial.folder import EPISODES
 from simbias.trial.observer import Observer
 from simbias.trial.policy_test import Episode, PolicyTest, PolicyTestResult, episodes_csv, run_policy_test
@@ -104,6 +105,10 @@ def test_the_first_episodes_may_last_beyond_the_horizon() -> None:
     assert result is not None
     assert [each.asked_seconds for each in result.episodes] == pytest.approx([2.5 * horizon] * 2 + [horizon])
     assert all(each.seconds <= each.asked_seconds + 1e-9 for each in result.episodes)
+    asked: list[int] = []
+    asking = ExperimentConditions(confirm=True, ask=lambda *asked_for: not asked.append(asked_for[-1]))
+    run_policy_test(replace(point_mass, conditions=asking), theta, PolicyTest(3, 2, 2.5 * horizon))
+    assert asked == [2.5 * point_mass.task.horizon]  # once, with the duration of that episode
     short = run_policy_test(point_mass, theta, PolicyTest(3, long_episodes=3, long_seconds=0.5 * horizon))
     assert short is not None
     assert short.long_episodes == ()
