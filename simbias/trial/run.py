@@ -192,10 +192,14 @@ class _Run(Observer):
             return Outcome.SUCCEEDED, ""
         why = "; ".join(diagnostics.of_experiments(last.experiments if last else (), self._study))
         told = [f"Of the last policy, {why}."] if why else []
-        if made := self._unfinished:
+        if self._unfinished:
+            first = 0 if last else self._study.method.random_experiments
+            drawn, made = self._unfinished[:first], self._unfinished[first:]
             passed = f"{sum(map(self._study.passes, made))} of {counted(len(made), 'experiment')}"
             policy = "A further policy" if last else "The only policy"
-            told.append(f"{policy} had passed {passed} when the budget was spent.")
+            done = f"{policy} had passed {passed}" if made else "No policy had been tried"
+            after = f", after {counted(len(drawn), 'random experiment')}" if drawn else ""
+            told.append(f"{done} when the budget was spent{after}.")
         return Outcome.NOT_SUCCEEDED, " ".join(told)
 
     def experimented(self, rollout: Rollout) -> None:

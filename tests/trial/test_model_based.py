@@ -21,6 +21,7 @@ from simbias.policy.output_feedback import OutputFeedback
 from simbias.search import lqr
 from simbias.search.evaluation.nominal_start import NominalStart
 from simbias.search.lqr import lqr_policies
+from simbias.trial.budget import Budget
 from simbias.trial.methods.algorithm1 import Algorithm1
 from simbias.trial.methods.lqr import Lqr
 from simbias.trial.methods.model_based import ModelBased
@@ -248,6 +249,12 @@ def test_random_experiments_come_first_and_are_learned_from(hasty: Study) -> Non
     record = run_trial(study)
     assert record.summary.experiments == len(made)
     assert record.summary.hardware_seconds == sum(each.frames for each in made) * study.task.time_step
+    for budget, done, drawn in (
+        (1, "No policy had been tried", "1 random experiment"),
+        (3, "The only policy had passed 0 of 1 experiment", "2 random experiments"),
+    ):
+        reason = run_trial(replace(study, budget=Budget(budget))).summary.reason
+        assert reason == f"{done} when the budget was spent, after {drawn}."
 
 
 def test_random_experiments_need_limits(point_mass: Study) -> None:
