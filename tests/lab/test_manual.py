@@ -121,6 +121,10 @@ def test_a_request_is_found_again_and_is_not_another_ones(point_mass: Study, tmp
     weaker = Safety(inputs={"force": 3.0})  # than the experiments that were made
     assert "README.txt" in run(point_mass, tmp_path / "here", start, 3, weaker)
     assert len(list((tmp_path / "here").iterdir())) == 3
+    (first,) = (tmp_path / "here").glob("000_*")
+    shutil.rmtree(first)
+    run(point_mass, tmp_path / "here", start, 5)  # no number is given twice
+    assert sorted(path.name[:3] for path in (tmp_path / "here").iterdir()) == ["001", "002", "003"]
 
 
 def test_the_name_is_a_hash_of_everything_that_a_request_says(

@@ -63,7 +63,8 @@ def write_request(request: ExperimentRequest, folder: Path) -> Path:
     for known in sorted(folder.glob(f"*_{request.name}")):
         if not (known / WITHDRAWN).exists():
             return known
-    number = sum(1 for each in folder.glob("*_*") if each.is_dir())
+    numbers = [each.name.partition("_")[0] for each in folder.glob("*_*") if each.is_dir()]
+    number = 1 + max((int(each) for each in numbers if each.isdecimal()), default=-1)
     own = folder / f"{number:03d}_{request.name}"
     part = folder / f".{own.name}.part"  # so that nobody reads an incomplete request
     part.mkdir(parents=True, exist_ok=True)
