@@ -184,6 +184,7 @@ def test_a_sensor_that_stands_still_is_told(tmp_path: Path, caplog: pytest.LogCa
         read(written(tmp_path, lines(HEADER, np.c_[TIMES, np.transpose(states), 0 * TIMES])), asked)
         assert f"{name} stands still while" in caplog.text
     read(written(tmp_path, moving()), REQUEST)
+    read(written(tmp_path, cell(2, 4, "aborted")(moving()[:2])), REQUEST)  # at the start
     assert caplog.text.count("stands still") == 2
 
 

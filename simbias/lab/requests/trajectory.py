@@ -155,7 +155,7 @@ def _tell_what_stands_still(states: Array, task: Task, source: str) -> None:
     """Warn of a position that does not move while its rate is not zero, or the reverse."""
     for rate, position in rates_of(task).items():
         moves, has_rate = bool(np.ptp(states[:, position])), bool(states[:, rate].any())
-        if moves != has_rate:
+        if moves != has_rate and len(states) > 1:  # a single row does not move
             still, other = (position, rate) if has_rate else (rate, position)
             names = (task.states[i].name for i in (still, other))
             logging.getLogger(__name__).warning(STILL, source, *names)
