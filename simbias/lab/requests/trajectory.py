@@ -310,7 +310,7 @@ def _ended(
     if len(ends):
         failure = _exceeded(states[k], request)
     elif k < task.horizon:
-        failure = failure or _exceeded(last, request)
+        failure = _exceeded(last, request) or failure
     if failure is None and k < task.horizon:
         raise HardwareError(
             f"{end}: expected {task.horizon} frames of {task.time_step:g} s, but the recording ends after "
