@@ -93,6 +93,8 @@ def _controller(parsed: argparse.Namespace) -> int:
 
     trial = load_trial(parsed.trial, uri=parsed.uri, config_dir=parsed.config_dir, allow=parsed.allow)
     policy = f"the last policy of {trial.study.title}, seed {trial.study.seed}: {trial.outcome}"
+    if trial.changed_code:
+        policy += f", but its code or files have changed since ({trial.changed_code})"
     files = write_controller(trial.next_experiment, Path(parsed.folder), policy)
     print(f"{parsed.folder}: {', '.join(files)} of {policy}")
     return SUCCEEDED

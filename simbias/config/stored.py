@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from simbias.config.allowed import own, prefixes
@@ -11,19 +13,21 @@ from simbias.config.composition import Composition
 from simbias.core.errors import ConfigError
 from simbias.core.messages import with_type
 from simbias.trial.folder import TRIAL, TrialFolder
+from simbias.trial.origin import changed_code
 from simbias.trial.run import TrialRecord, read_trial
 
 OTHER_CONFIG = (
     "its config is that of trial {}, not of {}: the file has been changed, or another version of simbias "
     "ran the trial. Restore the file, or read the trial with that version"
 )
+CHANGED = "simbias: trial %s: its code or files have changed since it began (%s); they may compute otherwise"
 
 
 def read_folder(folder: Path, config_dir: Path | str | None = None, allow: Sequence[str] = ()) -> TrialRecord:
     """The study and the full record of a trial's folder; the trial may still be running.
 
     A folder may be somebody else's: custom components must be importable, and lie beside `config_dir` or in a
-    module that `allow` names.
+    module that `allow` names. A warning names the user's modules and files that have changed since.
 
     Raises
     ------
@@ -38,7 +42,10 @@ def read_folder(folder: Path, config_dir: Path | str | None = None, allow: Seque
         study = build(composition)
         if study.hash != description["hash"]:
             raise ConfigError(str(folder / TRIAL), OTHER_CONFIG.format(study.hash, description["hash"]))
-        return read_trial(study, folder)
+        changed = changed_code(description, study)
+        if changed:
+            logging.getLogger(__name__).warning(CHANGED, study.hash, changed)
+        return replace(read_trial(study, folder), changed_code=changed)
     except ConfigError:
         raise
     except Exception as error:

@@ -33,6 +33,7 @@ from simbias.trial.summary import COLUMNS, IDENTIFIED, PARAMETERS, TrialSummary,
 FILE = "report.html"
 MOST_ROWS = 1000  # of a sweep's table on the page
 TOLD = ("hash", "user", "commit", "changed", "command")  # items of a description, shown in words
+CHANGED_CODE = "Code or files have changed since the trial began ({}); pictures are drawn with the new ones"
 
 
 def write_report(folder: Path, config_dir: Path | str | None = None, allow: Sequence[str] = ()) -> list[Path]:
@@ -70,7 +71,8 @@ def _trial_parts(record: TrialRecord, folder: TrialFolder) -> Iterator[str]:
     yield html.paragraph(f"{summary.outcome.verdict} after {summary.effort}. {summary.reason}")
     for finding in summary.findings:
         yield html.paragraph(finding)
-    notes = [*continued(folder), *summary.diagnostics, *map(str, record.withdrawn)]
+    changed = [CHANGED_CODE.format(record.changed_code)] if record.changed_code else []
+    notes = [*continued(folder), *changed, *summary.diagnostics, *map(str, record.withdrawn)]
     if notes:
         yield html.items(notes)
     yield html.heading("Iterations")

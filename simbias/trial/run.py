@@ -44,6 +44,7 @@ class TrialRecord:
     policy_test: PolicyTestResult | None = None  # of the last policy, if requested
     traceback: str = ""  # empty for a bad key or file, which the reason names
     withdrawn: tuple[Withdrawal, ...] = ()  # experiments that a person withdrew
+    changed_code: str = ""  # the user's modules and files that changed since it began, if read from a folder
 
     @property
     def outcome(self) -> Outcome:

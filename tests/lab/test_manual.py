@@ -91,7 +91,12 @@ def test_a_trial_waits_for_a_person_and_resumes(folder: Path, capsys: pytest.Cap
     for name in "controller.h", "controller.py":
         title, *law = Path("mine", name).read_text().splitlines()
         assert law == (asked / name).read_text().splitlines()[1:]
-        assert "succeeded" in title
+        assert title.endswith("succeeded")
+    description = json.loads((file := trial.with_name("trial.json")).read_text())
+    file.write_text(json.dumps(description | {"code": {"mine": "another"}}))
+    assert main(["controller", str(trial.parent), "mine", *own]) == SUCCEEDED
+    changed = "succeeded, but its code or files have changed since (mine, point_mass)"
+    assert all(changed in Path("mine", name).read_text() for name in ("controller.h", "controller.py"))
 
 
 def run(study: Study, folder: Path, start: Array, seed: int = 3, safety: Safety | None = None) -> str:

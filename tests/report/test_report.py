@@ -110,8 +110,11 @@ def test_what_files_say_is_text_and_never_markup(
             (copy / file.name).write_bytes(file.read_bytes().replace(b'"numpy"', b'"<script>numpy"'))
     summary = json.loads((trial / "outcome.json").read_text())
     (copy / "outcome.json").write_text(json.dumps({**summary, "test_words": EVIL, "claim": EVIL}))
+    description = json.loads((copy / "trial.json").read_text())
+    write_json(copy / "trial.json", description | {"code": {EVIL: "another"}})
     html = write_report(copy)[0].read_text()
     assert self_contained(html)
+    assert f"Code or files have changed since the trial began ({escape(EVIL)})" in html
     assert "&lt;script&gt;alert(1)" in html
 
 

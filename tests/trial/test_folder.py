@@ -437,7 +437,9 @@ def test_steps_of_other_code_are_one_line(short: Study, whole: Whole, tmp_path: 
         read_trial(short, theta)
 
 
-def test_changed_code_is_said_and_changes_no_prediction(own: Whole, tmp_path: Path) -> None:
+def test_changed_code_is_said_and_changes_no_prediction(
+    own: Whole, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     folder, study = shutil.copytree(own[0], tmp_path / "trial"), own[1].study
     assert changed_since(study, folder) == ""
     description = json.loads((folder / TRIAL).read_text())
@@ -445,6 +447,9 @@ def test_changed_code_is_said_and_changes_no_prediction(own: Whole, tmp_path: Pa
     (folder / TRIAL).write_text(json.dumps(description | {"code": {"point_mass": "another"}}))
     said = "is shown as it was; its code or files have changed since it began (point_mass)"
     assert said in changed_since(study, folder)
+    assert [read_folder(each, OWN_CONF).changed_code for each in (own[0], folder)] == ["", "point_mass"]
+    (line,) = (each.getMessage() for each in caplog.records)
+    assert "its code or files have changed since it began (point_mass)" in line
     file = next(folder.glob("*_iteration.json"))
     file.write_text(json.dumps(json.loads(file.read_text()) | {"predicted_cost": 38.9}))
     for record in (run_trial(study, folder), read_trial(study, folder)):
