@@ -21,7 +21,7 @@ from simbias.config import ConfigError
 from simbias.core import NOT_A_NUMBER, Bias, Cost, FittedBias, Nominal, error_origin
 from simbias.core.commands import BAD_INPUT
 from simbias.core.ranges import frames_in
-from simbias.core.records import Array, Rollout, Selection, Transitions
+from simbias.core.records import Array, Indices, Rollout, Selection, Transitions
 from simbias.learning.bias.none import NoBias
 from simbias.learning.samples.thresholds import Thresholds, WindowLengths
 from simbias.terminal.trial import TrialConsole, cost_text
@@ -77,6 +77,13 @@ class Always(Cost):
         return self._value
 
 
+class OfTheFirst(Cost):
+    max_cost, horizon, time_step, reductions = 1.0, 100, 0.02, ("sum",)
+
+    def of_totals(self, totals: Array, lost: Indices) -> Array:
+        return totals[0] + lost
+
+
 @pytest.fixture(scope="module")
 def compilable() -> Study:
     """A quick one."""
@@ -104,6 +111,7 @@ def test_what_an_own_component_breaks_is_one_line_before_the_trial(compilable: S
         warnings.simplefilter("error", simbias.core.SlowWarning)  # ordinary NumPy can be compiled
         rehearse(study)
     for group, component, line in (
+        ("cost", lambda _: OfTheFirst(), "OfTheFirst.of_totals: expected for several points what it gives"),
         ("nominal", NaNVelocity, "NaNVelocity.step: expected finite numbers near the start, got [["),
         ("nominal", Raises, "Raises.step: expected a result, got KeyError: 'mass' (test_newcomers.py:"),
         ("nominal", OneColumn, "OneColumn.step: expected a state, got (1,)"),

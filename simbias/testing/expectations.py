@@ -24,6 +24,7 @@ class Check:
     group: str
     words: str
     run: Callable[[Study], None]
+    rehearsed: bool = False  # whether every trial runs it first on a custom component, whatever its group
 
     def __str__(self) -> str:
         return f"{self.group}: {self.words}"
@@ -32,11 +33,13 @@ class Check:
 CHECKS: list[Check] = []
 
 
-def check(group: str, words: str) -> Callable[[Callable[[Study], None]], Callable[[Study], None]]:
+def check(
+    group: str, words: str, rehearsed: bool = False
+) -> Callable[[Callable[[Study], None]], Callable[[Study], None]]:
     """Register a check."""
 
     def register(run: Callable[[Study], None]) -> Callable[[Study], None]:
-        CHECKS.append(Check(group, words, run))
+        CHECKS.append(Check(group, words, run, rehearsed))
         return run
 
     return register

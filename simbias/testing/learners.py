@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from simbias.core import Nominal
-from simbias.core.records import Array
+from simbias.core.records import Array, Indices
 from simbias.testing.expectations import (
     POINTS,
     check,
@@ -108,6 +108,20 @@ def _cost_is_finite(study: Study) -> None:
             return study.cost.terms(x, u, t[..., 0])
 
         expect_any_leading_axes(terms, "cost.terms", states(study), inputs(study), t)
+
+
+@check("cost", "of many rollouts at once what it is of each", rehearsed=True)
+def _cost_of_many(study: Study) -> None:
+    rng, cost = np.random.default_rng(7), study.cost
+    if not cost.reductions:  # its `of` takes one rollout at a time
+        return
+    totals = rng.random((POINTS, len(cost.reductions)))
+    lost = np.where(np.arange(POINTS) % 2, rng.integers(1, cost.horizon + 1, POINTS), 0)[:, None]
+
+    def of_totals(totals: Array, lost: Indices) -> Array:
+        return np.asarray(cost.of_totals(totals, lost[..., 0]))[..., None]
+
+    expect_any_leading_axes(of_totals, "cost.of_totals", totals, lost)
 
 
 @check("cost", "an early fall costs more than Z_max")

@@ -6,7 +6,7 @@ from threadpoolctl import threadpool_limits
 
 from simbias.core.error_origin import is_own, told
 from simbias.core.errors import ConfigError
-from simbias.testing.conformance import verdicts
+from simbias.testing.conformance import CHECKS, verdicts
 from simbias.trial.study import Study
 from simbias.trial.warm_up import warm_up
 
@@ -25,8 +25,9 @@ def rehearse(study: Study) -> None:
     if (seconds := task.horizon * task.time_step) < LEAST_SECONDS:
         problem = f"{task.horizon} frames of {task.time_step:g} s are {seconds:g} s, too short for a failure"
         raise ConfigError("task.horizon", f"{problem}; at least {LEAST_SECONDS:g} s are needed")
-    own = [group for group in GROUPS if is_own(getattr(study, group))]
-    for verdict in verdicts(study, own):
+    checks = [check for check in CHECKS if check.rehearsed or check.group in GROUPS]
+    own = [check.group for check in checks if is_own(getattr(study, check.group))]
+    for verdict in verdicts(study, own, checks):
         if verdict.problem:
             raise ConfigError("", verdict.problem) from verdict.error
     try:

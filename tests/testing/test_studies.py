@@ -195,6 +195,16 @@ class Jerk(Cost):
         return totals[..., 0] + 100.0 * lost
 
 
+class OneTerm(Jerk):
+    """Takes the first rollout's total for all rollouts'."""
+
+    def terms(self, x_next: Array, u: Array, t: Any) -> Array:
+        return np.square(x_next[..., :1])
+
+    def of_totals(self, totals: Array, lost: Any) -> Array:
+        return totals[0] + 100.0 * lost
+
+
 class DrawsAgain(Evaluation):
     def objective(self, model: Model, cost: Cost, rng: np.random.Generator) -> Any:
         return lambda theta: rng.random()
@@ -262,6 +272,7 @@ BROKEN: list[tuple[str, Callable[[Any], Any], str]] = [
     ("cost", lambda _: Clips(), "Clips.of: expected its arguments to be left as they are"),
     ("cost", lambda _: Remembers(), "Remembers.of: expected 2.49993"),
     ("cost", lambda _: Jerk(), "Jerk.terms: expected the same shape for each point"),
+    ("cost", lambda _: OneTerm(), "OneTerm.of_totals: expected for several points what it gives for each"),
     ("evaluation", lambda _: DrawsAgain(), "DrawsAgain.objective: expected the same when it is asked again"),
 ]
 
