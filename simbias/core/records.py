@@ -22,7 +22,10 @@ MEMORY = 1000  # frames of a constant input that bring a model state to its stea
 
 @dataclass(frozen=True, eq=False)
 class Rollout:
-    """One run of a policy, in simulation or on hardware, up to its failure or to the horizon T."""
+    """One run of a policy, in simulation or on hardware, up to its failure or to the horizon T.
+
+    An experiment's states, inputs and measurements are read-only.
+    """
 
     states: Array  # (k+1, n) recorded states x_0 .. x_k; k = T, or the frame of the failure
     inputs: Array  # (k, m) commanded inputs u_0 .. u_{k-1}
@@ -40,6 +43,13 @@ class Rollout:
     def frames(self) -> int:
         """The number k of frames in which the robot was controlled."""
         return len(self.inputs)
+
+    def read_only(self) -> Rollout:
+        """The rollout itself; nothing can be written into its states, inputs and measurements any more."""
+        for array in (self.states, self.inputs, self.measured):
+            if array is not None:
+                array.flags.writeable = False
+        return self
 
     def part(self, begin: int, end: int) -> Rollout:
         """The frames from `begin` up to `end`; a failure is in the part that reaches it."""

@@ -120,8 +120,11 @@ def costs_of(cost: Cost, rollouts: Sequence[Rollout]) -> tuple[Array, Indices]:
 
 
 def shaped(name: str, given: Any, *shape: int) -> Array:
-    """Check an argument's shape, as floats: compiled loops would read past the end of shorter arrays."""
-    values = np.asarray(given, dtype=np.float64, order="C")
+    """Check an argument's shape, as floats: compiled loops would read past the end of shorter arrays.
+
+    Read-only ones are copied, as loops would be compiled again for them.
+    """
+    values = np.require(given, np.float64, ["C", "W", "E"])
     if values.shape != shape:
         raise ValueError(f"{name}: expected the shape {shape}, got {values.shape}")
     return values

@@ -188,7 +188,8 @@ class Study:
         self.spending.check()
         watching.experimenting(theta, begin)
         with self.checked_hardware.whole():
-            rollout = self._judged(self.checked_hardware.run(self.policy, theta, begin, rng), theta)
+            made = self.checked_hardware.run(self.policy, theta, begin, rng).read_only()
+            rollout = self._judged(made, theta)
             self.spending.add(rollout.frames * self.task.time_step)
             watching.experimented(rollout)
         return rollout

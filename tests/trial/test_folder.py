@@ -251,6 +251,8 @@ def test_its_study_is_built_from_the_folder_too(own: Whole, tmp_path: Path) -> N
     folder, record = own
     read, study = read_folder(folder, OWN_CONF), record.study
     assert_equal(read, record)
+    experiments = [made for each in (read, record) for step in each.iterations for made in step.experiments]
+    assert not any(array.flags.writeable for made in experiments for array in (made.states, made.inputs))
     assert (read.study.hash, read.study.title, read.study.seed) == (study.hash, study.title, study.seed)
     assert "tracking" not in TrialFolder(folder).description()["config"]  # may hold a password
     with pytest.raises(ConfigError, match=r"point_mass"):
