@@ -242,6 +242,7 @@ WHY: list[tuple[Callable[[Array, Array], Array], str]] = [
     ),
     (lambda x, u: x + (x.dtype == float), "its compiled form gives other numbers"),
     (lambda x, u: x + sum(np.sin(x + u + i) for i in range(MOST)), f"it takes more than {MOST} operations"),
+    (lambda x, u: x + np.interp(x[..., :1], np.arange(180), np.arange(180)), r"it needs \d+ constants or"),
     (lambda x, u: x + np.random.default_rng().normal(size=3), "it gives other numbers when it is called"),
     (lambda x, u: {}["mass"], "KeyError: 'mass'"),
     (lambda x, u: x / (u - u), "its values are not finite at most states"),

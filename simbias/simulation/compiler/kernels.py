@@ -17,8 +17,9 @@ condition, and `np.sum` counts. Supported keywords are `axis`, `keepdims`, `dtyp
 `np.clip`, and `out` of elementwise functions; a warning names the first other keyword argument, such as
 `where` or `initial`. Not supported are `if` and `while` on values, masks as indices, filling arrays from
 `np.zeros`, `np.asarray(x, float)`, random numbers, memory other than the state, other libraries, or more than
-MOST operations (`simbias.simulation.compiler.symbols`). If code uses these, or the kernel gives other
-numbers, the loop runs in NumPy, up to 500 times slower, and a warning names the line.
+MOST operations (`simbias.simulation.compiler.symbols`) or a thousand constants, six for each row of a table.
+If code uses these, or the kernel gives other numbers, the loop runs in NumPy, up to 500 times slower, and a
+warning names the line.
 
 **By hand.** A kernel is an ordinary Python function of a few numbers and its parameters. It may branch, and
 replaces the traced NumPy method:

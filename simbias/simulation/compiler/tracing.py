@@ -153,7 +153,7 @@ def of_policy(policy: Policy, task: Task, points: Points) -> KernelOrReason:
         arguments = "p, x, t, policy_state, c" + ", row" * bool(lookup.columns)
         return PolicyKernel(
             *written(trace, [u, kept], arguments, fixed, "c", lookup.columns),
-            written(trace, [[*fixed, *lookup.table]], "theta, p"),
+            written(trace, [[*fixed, *lookup.table]], "theta, p", compiled=False),
             *(len(fixed), len(lookup.columns)),
         )
 

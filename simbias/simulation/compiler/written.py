@@ -14,11 +14,12 @@ from simbias.core import Kernel
 from simbias.simulation.compiler.choices import at_least, at_most, chosen, greater, lesser
 from simbias.simulation.compiler.compilation import function_of
 from simbias.simulation.compiler.rules import OF_NUMPY, ROUNDED
-from simbias.simulation.compiler.symbols import LOOKED_UP, Symbol, Trace
+from simbias.simulation.compiler.symbols import LOOKED_UP, Symbol, Trace, TraceError
 from simbias.simulation.compiler.trigonometry import arctan, sincos, tanh
 
 NAMES = {"np": np, "lesser": lesser, "greater": greater, "chosen": chosen}
 NAMES |= {"at_most": at_most, "at_least": at_least, "sincos": sincos, "arctan": arctan, "tanh": tanh}
+LONGEST = 1000  # tuple that Numba passes to a function
 SHORT = 70  # characters of an expression that is inlined where it is used
 
 _IN_ALL = {
@@ -201,15 +202,20 @@ def written(
     before: Sequence[Symbol] = (),
     numbers_name: str = "p",
     looked_up: Sequence[Symbol] = (),
+    compiled: bool = True,
 ) -> Kernel:
     """The kernel that computes these vectors; p are precomputed parameters, and numbers (c,) are named.
 
-    Looked-up values form a separate row. The same operations give the same function.
+    Looked-up values form a separate row. The same operations give the same function. A TraceError if it is to
+    be compiled and needs too many numbers.
     """
     names = {symbol.index: f"p[{index}]" for index, symbol in enumerate(before)}
     names |= {symbol.index: f"row[{index}]" for index, symbol in enumerate(looked_up)}
     order = needed(trace, results, names)
     numbers = [symbol for symbol in order if symbol.name == "number" and not symbol.whole]
+    most = max(map(len, (numbers, before, looked_up)))
+    if compiled and most > LONGEST:
+        raise TraceError(f"it needs {most} constants or parameters, of at most {LONGEST}")
     names |= {symbol.index: f"{numbers_name}[{index}]" for index, symbol in enumerate(numbers)}
     lines = statements(trace, results, NUMBA, names)
     vectors = ["(" + "".join(f"{names[symbol.index]}, " for symbol in vector) + ")" for vector in results]
