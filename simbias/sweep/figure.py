@@ -34,6 +34,14 @@ class FigureError(RuntimeError):
     """A figure cannot be drawn from the available data."""
 
 
+class UndrawnError(FigureError):
+    """Figures of a sweep could not be drawn; its trials have ended, and its other figures are drawn."""
+
+    def __init__(self, undrawn: Sequence[FigureError], trials: DataFrame, where: str) -> None:
+        super().__init__("; ".join(map(str, undrawn)))
+        self.undrawn, self.trials, self.where = undrawn, trials, where
+
+
 @dataclass(frozen=True, eq=False)
 class SweptTrials:
     """The trials of a sweep: as a table, and each as a full record."""

@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING
 
 from simbias.config.sent_code import packed
 from simbias.core import HardwareError, Waiting
+from simbias.core.errors import ConfigError
 from simbias.core.interruption import deferred
-from simbias.engine.contract import Engine, WorkerLostError
+from simbias.core.messages import with_type
+from simbias.engine.contract import Engine, EngineLostError, WorkerLostError
 from simbias.engine.workplace import temporary_folder
 from simbias.pictures.elements.drawing import NoPictureError
 from simbias.sweep.batches import Batch, Outcomes, run_batch
@@ -26,6 +28,8 @@ if TYPE_CHECKING:
     from simbias.sweep.grid import Sweep, Trial
     from simbias.sweep.state import SweepState
     from simbias.sweep.worker import Result
+
+EXPECTED = FigureError, NoPictureError, HardwareError, Waiting  # errors that need no traceback
 
 
 class SweepObserver:
@@ -54,31 +58,36 @@ def make_figures(
     engine: Engine,
     state: SweepState,
     observer: SweepObserver,
-) -> None:
-    """Make every figure that the sweep declares; errors as for `run_sweep`."""
+) -> list[FigureError]:
+    """Make every figure that the sweep declares; return the errors of those that cannot be made."""
+    undrawn: list[FigureError] = []
     for name, figure in sweep.figures.items():
-        with _errors_of(name):
+        with _errors_of(name, undrawn):
             trials = state.swept()
             batches = figure.experiments(trials)
             outcomes = _outcomes(name, batches, engine, state, observer)
             picture = figure.draw(trials, outcomes)
             caption = picture.caption + left_out(trials.table["outcome"])
             picture = replace(picture, caption=caption)
-        with temporary_folder() as folder, deferred():
-            files = picture.write(Path(folder), name)
-            state.publish(name, caption, files)
-            observer.drawn(name, caption, _copy(files, sweep.figures_to))
+            with temporary_folder() as folder, deferred():
+                files = picture.write(Path(folder), name)
+                state.publish(name, caption, files)
+                observer.drawn(name, caption, _copy(files, sweep.figures_to))
+    return undrawn
 
 
 @contextmanager
-def _errors_of(name: str) -> Iterator[None]:
-    """Make errors name the figure they belong to; some figures use the hardware again."""
+def _errors_of(name: str, undrawn: list[FigureError]) -> Iterator[None]:
+    """Note an error with the figure's name, unless the sweep has to stop; some figures use the hardware."""
     try:
         yield
-    except (HardwareError, Waiting) as error:
-        raise FigureError(f"{name}: hardware: {error}") from error
-    except (FigureError, NoPictureError) as error:
-        raise FigureError(f"{name}: {error}") from error
+    except (ConfigError, EngineLostError):
+        raise
+    except Exception as error:
+        hardware = "hardware: " * isinstance(error, HardwareError | Waiting)
+        words = str(error) if isinstance(error, EXPECTED) else with_type(error)
+        undrawn.append(FigureError(f"{name}: {hardware}{words}"))
+        undrawn[-1].__cause__ = error
 
 
 def _outcomes(

@@ -17,6 +17,7 @@ from simbias.config.sent_code import packed
 from simbias.core.interruption import Interruption, deferred
 from simbias.engine.contract import Engine, WorkerLostError
 from simbias.engine.workplace import tidy
+from simbias.sweep.figure import UndrawnError
 from simbias.sweep.grid import Sweep, Trial, expanded
 from simbias.sweep.making import SweepObserver, make_figures
 from simbias.sweep.state import SweepState, finished
@@ -111,8 +112,8 @@ def run_sweep(
         If the store cannot be used, or another process runs this sweep.
     KeyboardInterrupt
         On SIGINT or SIGTERM, between two trials; finished ones are kept.
-    FigureError
-        If a figure cannot be drawn from the available data.
+    UndrawnError
+        If a figure cannot be drawn; the error has what would have been returned.
     """
     observer = observer or SweepObserver()
     folder = store.sweep_folder(sweep.name, sweep.hash)
@@ -131,12 +132,13 @@ def run_sweep(
                             observer.ended(trial, result)
                 finally:
                     observer.all_ended()
-                if state.draws:
-                    make_figures(sweep, trials_engine, state, observer)
+                undrawn = make_figures(sweep, trials_engine, state, observer) if state.draws else []
         except BaseException as error:
             state.close(error)
             raise
-        state.close()
+        state.close(*undrawn[:1])
+        if undrawn:
+            raise UndrawnError(undrawn, state.results(), state.export.where) from undrawn[0]
         return state.results(), state.export.where
 
 

@@ -26,12 +26,14 @@ from simbias.core.messages import brief, counted
 from simbias.engine.contract import Engine, EngineLostError
 from simbias.mlflow.store import cause
 from simbias.sweep import running
+from simbias.sweep.figure import UndrawnError
 from simbias.sweep.grid import Sweep, Trial
+from simbias.sweep.making import EXPECTED
 from simbias.sweep.running import SweepObserver
 from simbias.sweep.tables import BLANK, Layout, arrange, cells, layout, legend, plain
 from simbias.sweep.tracking import Tracking
 from simbias.sweep.worker import Result
-from simbias.terminal.lines import say, standard_output
+from simbias.terminal.lines import place_of_trace, say, standard_output
 from simbias.terminal.notices import preparing, slowness_in_one_line
 from simbias.terminal.trial import traceback_file
 from simbias.trial.folder import TrialFolder
@@ -59,6 +61,13 @@ def run(variations: Variations, composition: Composition, again: str) -> int:
         return INTERRUPTED
     except EngineLostError as error:
         console.stopped(str(error), again)
+        return FAILED
+    except UndrawnError as error:
+        console.conclude(error.trials, error.where)
+        for each in error.undrawn:
+            trace = "" if isinstance(each.__cause__, EXPECTED) else place_of_trace(each)
+            print(f"simbias: figure {each}{trace}", file=sys.stderr)
+        print(f"Resume with:  {again}", file=sys.stderr, flush=True)
         return FAILED
     except ConfigError:
         raise

@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -37,6 +38,7 @@ from simbias.config import ConfigError
 from simbias.engine.contract import EngineLostError
 from simbias.engine.sequential import Sequential
 from simbias.sweep import results, tables
+from simbias.sweep.figure import UndrawnError
 from simbias.sweep.folder import CHANGED, SweepFolder
 from simbias.sweep.grid import Trial, expand
 from simbias.sweep.running import SweepObserver
@@ -249,6 +251,27 @@ def test_figures_stay_while_a_sweep_grows_and_once_it_is_interrupted(folder: Pat
     with pytest.raises(KeyboardInterrupt):
         simbias.run_sweep([*one_cell, "sweep.trials=2"], observer=Interrupting())
     assert len(SweepFolder(sweep_folder(folder)).figures()) == 4
+
+
+@pytest.mark.usefixtures("unpainted")
+def test_a_figure_that_raises_is_named_and_costs_neither_table_nor_other_figures(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    figures = "costs: {_target_: simbias.sweep.figures.costs.Costs}, "
+    figures += "experiments: {_target_: simbias.sweep.figures.experiments.Experiments}"
+    write_sweep(folder, "mine", f"sweep: {{trials: 1, axes: {{bias: [none]}}, figures: {{{figures}}}}}")
+    command = ["+sweep=mine", *QUICK, *FOLDERS, "engine=sequential"]
+    monkeypatch.setattr("simbias.sweep.figures.costs.Costs.draw", Mock(side_effect=KeyError("x")))
+    assert main(["--config-dir", "conf", *command]) == 1
+    out, err = capsys.readouterr()
+    assert "experiments" in out
+    line = r"simbias: figure costs: KeyError: 'x' \(traceback in (.*)\)\nResume with:  .*\n"
+    assert (trace := re.fullmatch(line, err))
+    assert "KeyError" in Path(trace[1]).read_text()
+    assert {file.stem for file in SweepFolder(sweep_folder(folder)).figures()} == {"experiments"}
+    with pytest.raises(UndrawnError, match=r"^costs: KeyError: 'x'$") as raised:
+        simbias.run_sweep(command, "conf")
+    assert len(raised.value.trials) == 1
 
 
 def test_a_sweep_that_is_interrupted_at_its_start(
