@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from simbias.core import Nominal
+from simbias.core import Bias, Nominal
 from simbias.core.records import Array, Indices
 from simbias.testing.expectations import (
     POINTS,
@@ -23,6 +23,7 @@ from simbias.testing.expectations import (
     transitions,
 )
 from simbias.trial.study import Study
+from simbias.trial.warm_up import SECONDS
 
 OFF = 1e-3  # of the state: error of a model with known residuals
 
@@ -46,6 +47,19 @@ def _bias_predicts(study: Study) -> None:
     expect_any_leading_axes(fitted.correction, "correction", x, u)
     again = study.bias.fit(transitions(study)).predict(points)
     equal(again, (mean, variance), "fit", "the same from the same data", 0.0)
+
+
+@check("bias", "the same from the same experiments")
+def _bias_learns(study: Study) -> None:
+    if type(study.bias).learn is Bias.learn:  # it fits data alone
+        return
+    whole, x, u = rollout(study).read_only(), robot_states(study), inputs(study)
+    frames = min(study.task.frames(SECONDS), whole.frames)
+    rollouts = study.of_robot([whole.part(0, frames), whole.part(frames // 2, frames)])
+    data, x_next = transitions(study), study.nominal.step(x, u)
+    one, same = (study.bias.learn(data, rollouts, study.nominal).correction(x, u) for _ in range(2))
+    equal(same, one, "learn", "the same from the same experiments", 0.0)
+    equal(study.nominal.step(x, u), x_next, "learn", "the nominal model to be left as it is", 0.0)
 
 
 @check("bias", "a bias is drawn from the generator alone")
@@ -73,7 +87,7 @@ class _Off(Nominal):
 
 @check("samples", "residuals, and what is not selected is counted")
 def _samples_count(study: Study) -> None:
-    rollouts = [rollout(study), rollout(study, 1)]
+    rollouts = [rollout(study, seed).read_only() for seed in (0, 1)]
     selection = study.select(rollouts, study.nominal)
     n, m, count = len(study.task.without_targets.states), len(study.task.inputs), len(selection.transitions)
     equal(selection.transitions.inputs.shape, (count, n + m), "samples.select", f"inputs (N, {n + m})")

@@ -89,7 +89,7 @@ def _on_nominal_model(study: Study) -> Study:
     )
 
 
-@check("method", "experiments are counted, limited, and recalled on a restart (all on the nominal model)")
+@check("method", "experiments are counted, limited, recalled and repeated by seed (on the nominal model)")
 def _method_counts_and_recalls(study: Study) -> None:
     study = _on_nominal_model(study)
     made: list[Rollout] = []
@@ -111,13 +111,15 @@ def _method_counts_and_recalls(study: Study) -> None:
             again = run_trial(study, Path(folder, study.hash))
         except ConfigError as error:
             raise ConformanceError(f"method.run: expected {expected}, got others when begun again") from error
+        anew = run_trial(study, Path(folder, "anew"))
     for iteration, count in zip(first.iterations, counts, strict=True):
         total = iteration.total_experiments
         expect(total == count, "method.run", f"{count} experiments so far", total)
     most = study.max_experiments
     expect(len(made) <= most, "method.run", f"at most {most} experiments", len(made))
-    kept = [len(trial.iterations) for trial in (first, again)]
-    expect(kept[0] == kept[1], "method.run", expected, f"{kept[1]} of {kept[0]} iterations when begun again")
-    for one, other in zip(again.iterations, first.iterations, strict=True):
-        equal(one.parameters, other.parameters, "method.run", expected, 0.0)
-        equal(one.hardware_cost, other.hardware_cost, "method.run", expected, 0.0)
+    for trial, same in ((again, expected), (anew, "the same trial from the same seed")):
+        kept = f"{len(trial.iterations)} of {len(first.iterations)} iterations when begun again"
+        expect(len(trial.iterations) == len(first.iterations), "method.run", same, kept)
+        for one, other in zip(trial.iterations, first.iterations, strict=True):
+            equal(one.parameters, other.parameters, "method.run", same, 0.0)
+            equal(one.hardware_cost, other.hardware_cost, "method.run", same, 0.0)

@@ -37,16 +37,18 @@ def _without_rollouts(study: Study) -> None:
 @check("identification", "finite predictions of a robot that moves and of one at rest, and draws of them")
 def _fits_motion_and_rest(study: Study) -> None:
     n = len(study.task.without_targets.states)
-    whole, x, u = rollout(study).of_states(n), robot_states(study), inputs(study)
+    whole, x, u = rollout(study).read_only().of_states(n), robot_states(study), inputs(study)
     frames = min(study.task.frames(SECONDS), whole.frames)
     moving = whole.part(0, frames)
-    rest = Rollout(np.tile(whole.states[0], (frames + 1, 1)), np.zeros_like(moving.inputs))
-    for recorded in (moving, rest):
+    rest = Rollout(np.tile(whole.states[0], (frames + 1, 1)), np.zeros_like(moving.inputs)).read_only()
+    first = _fitted(study, [moving]).step(x, u)
+    for recorded in (rest, moving):
         fitted = _fitted(study, [recorded])
         x_next = fitted.step(x, u)
         expect(np.isfinite(x_next).all(), "fit", "a model of finite predictions", x_next)
         one, same = (fitted.draw(np.random.default_rng(3)).step(x, u) for _ in range(2))
         equal(one, same, "draw", "the same model from the same generator", 0.0)
+    equal(x_next, first, "fit", "the same model from the same rollouts, whatever was fitted between", 0.0)
 
 
 @check("identification", "a trial's warm-up: a rollout is simulated, learned from, and a policy evaluated")

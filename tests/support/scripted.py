@@ -48,6 +48,7 @@ class Guessing(Method):
     max_experiments = 4
     counts_from = 0
     shares_its_generator = False
+    draws_starts_anew = False
     breaks = False
     succeeds = False
 
@@ -60,6 +61,7 @@ class Guessing(Method):
                     observer.experimented(each)
             else:
                 theta_rng, experiment_rng = rng.spawn(2)
+                experiment_rng = np.random.default_rng() if self.draws_starts_anew else experiment_rng
                 theta = 0.1 * theta_rng.standard_normal(study.policy.n_parameters)
                 made = experiment(study, None, theta, experiment_rng, observer, 2)
             if self.breaks:

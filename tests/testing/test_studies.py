@@ -156,6 +156,18 @@ def twice_as_heavy(nominal: Any, rollouts: Sequence[Rollout]) -> Any:
     return other
 
 
+def roughly(nominal: Any, rollouts: Sequence[Rollout]) -> Any:
+    other = copy(nominal)
+    other._mass *= np.random.default_rng().normal(1.0, 0.01) if rollouts else 1.0
+    return other
+
+
+def smoothing(nominal: Any, rollouts: Sequence[Rollout]) -> Any:
+    for each in rollouts:
+        each.states[1:] = (each.states[1:] + each.states[:-1]) / 2
+    return nominal
+
+
 def heavier(nominal: Any, rollouts: Sequence[Rollout]) -> Any:
     if rollouts:
         nominal._mass *= 1.5
@@ -267,6 +279,9 @@ BROKEN: list[tuple[str, Callable[[Any], Any], str]] = [
     ("identification", lambda _: Fits(lambda *_: None), "Fits.fit: expected a nominal model, got None"),
     ("identification", lambda _: Fits(twice_as_heavy), "Fits.fit: expected the nominal model's steps"),
     ("identification", lambda _: Fits(heavier), "Fits.fit: expected the nominal model to be left as it is"),
+    ("identification", lambda _: Fits(roughly), "Fits.fit: expected the same model from the same rollouts"),
+    ("identification", lambda _: Fits(smoothing), "Fits.fit: expected a result, got ValueError: assignment"),
+    ("bias", lambda _: LearnsRoughly(), "LearnsRoughly.learn: expected the same from the same experiments"),
     ("samples", lambda _: Picks(lambda data: data.residuals + 1.0), "Picks.select: expected residuals x"),
     ("samples", lambda _: Picks(lambda data: np.roll(data.residuals, 1)), "Picks.select: expected residuals"),
     ("cost", lambda _: Clips(), "Clips.of: expected its arguments to be left as they are"),
@@ -283,6 +298,14 @@ def test_what_breaks_a_contract_is_told(point_mass: Study) -> None:
         broken = replace(point_mass, **{"nominal": nominal, group: component(point_mass.task)})
         first, *_ = problems(broken, group)
         assert first.startswith(problem)
+
+
+class LearnsRoughly(Bias):
+    def fit(self, transitions: Transitions) -> FittedBias:
+        return Adds(0.0, 0.0)
+
+    def learn(self, transitions: Transitions, rollouts: Sequence[Rollout], nominal: Nominal) -> FittedBias:
+        return Adds(*np.random.default_rng().normal(size=2))
 
 
 class Adds(FittedBias):

@@ -43,6 +43,7 @@ def test_what_is_wrong_is_one_line(point_mass: Study) -> None:
             {"shares_its_generator": True},
             "Guessing.run: expected each search and each experiment to have a generator of its own, got ",
         ),
+        ({"draws_starts_anew": True}, "Guessing.run: expected the same trial from the same seed, got "),
         ({"breaks": True}, "ZeroDivisionError: of nothing"),
     ):
         method = Guessing()
