@@ -42,7 +42,7 @@ def read_folder(folder: Path, config_dir: Path | str | None = None, allow: Seque
         study = build(composition)
         if study.hash != description["hash"]:
             raise ConfigError(str(folder / TRIAL), OTHER_CONFIG.format(study.hash, description["hash"]))
-        changed = changed_code(description, study)
+        changed = changed_code(TrialFolder(folder), study)
         if changed:
             logging.getLogger(__name__).warning(CHANGED, study.hash, changed)
         return replace(read_trial(study, folder), changed_code=changed)

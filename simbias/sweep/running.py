@@ -193,7 +193,7 @@ def changed_trials(sweep: Sweep, store: Tracking) -> Iterator[str]:
             if (cell := trial.cell.composition.group_hash) not in studies:
                 studies[cell] = build(trial.composition)
             before, asked = folder.description(), studies[cell].policy_test
-            if modules := changed_code(before, studies[cell]):
+            if modules := changed_code(folder, studies[cell]):
                 changed.append(modules)
             test = asdict(NO_TEST) | before["config"].get("policy_test", {})
             otherwise += asked.episodes > 0 and test != asdict(asked)

@@ -267,9 +267,7 @@ class TrialConsole(Observer):
 
 def changed_since(study: Study, folder: Path) -> str:
     """The user's modules and files that changed since a folder's trial began, in a line; "" if none."""
-    if not (folder / TRIAL).exists() or not (
-        modules := changed_code(TrialFolder(folder).description(), study)
-    ):
+    if not (folder / TRIAL).exists() or not (modules := changed_code(TrialFolder(folder), study)):
         return ""
     what = "is shown as it was; its" if TrialFolder(folder).ended else "resumes, but its"
     return f"the trial {what} code or files have changed since it began ({modules}); seed=N starts a new one"

@@ -12,7 +12,7 @@ import logging
 import platform
 import re
 import subprocess
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, requires, version
@@ -21,6 +21,7 @@ from typing import Any
 
 from simbias.core.digest import short_digest
 from simbias.core.platform import PACKAGE
+from simbias.trial.folder import TrialFolder
 from simbias.trial.study import Study
 
 TOOLS = re.compile(r"extra == .(docs|test)\b")  # requirements that no trial needs
@@ -70,10 +71,12 @@ def model_digest(study: Study) -> str:
     return short_digest(b"".join([json.dumps(values, sort_keys=True).encode(), *files]))
 
 
-def changed_code(before: Mapping[str, Any], study: Study) -> str:
-    """The user's modules, and files, that changed since a study was described; "" if none did."""
-    then, now = before.get("code", {}), digests(study)
-    return ", ".join(sorted(name for name in {*then, *now} if then.get(name) != now.get(name)))
+def changed_code(folder: TrialFolder, study: Study) -> str:
+    """The user's modules, and files, that changed since a trial began, even if restored; "" if none did."""
+    first = folder.description().get("code", {})
+    later = [digests(study), *(each["code"] for each in folder.attempts() if "code" in each)]
+    changed = {name for code in later for name in {*first, *code} if code.get(name) != first.get(name)}
+    return ", ".join(sorted(changed))
 
 
 def provenance() -> dict[str, Any]:

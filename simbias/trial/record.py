@@ -42,7 +42,7 @@ from simbias.trial.folder import (
     TRIAL,
     TrialFolder,
 )
-from simbias.trial.origin import description, tell_what_is_in_clear
+from simbias.trial.origin import description, digests, tell_what_is_in_clear
 from simbias.trial.replay import EndOfRecord, Record
 from simbias.trial.step_files import StepFiles, changed, missing
 from simbias.trial.study import Study
@@ -99,9 +99,10 @@ class FolderRecord(Record):
         here, before = platform.kind(), self.folder.platforms()
         if self.folder.steps() and before and here not in before:  # read before this attempt's line is added
             logging.getLogger(__name__).warning(MIXED, path.name, before[-1], here)
-        append_line(
-            path / ATTEMPTS, {"started": time.time(), "platform": here, "processor": platform.processor()}
-        )
+        code = digests(self._study)
+        other = {} if code == self.folder.description().get("code", {}) else {"code": code}
+        attempt = {"started": time.time(), "platform": here, "processor": platform.processor(), **other}
+        append_line(path / ATTEMPTS, attempt)
 
     def search(self, make: Callable[[], Optimum]) -> Optimum:
         """The next search."""

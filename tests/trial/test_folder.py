@@ -458,6 +458,12 @@ def test_changed_code_is_said_and_changes_no_prediction(
         assert 38.9 in {each.search.predicted_cost for each in record.iterations if each.search}
     (folder / OUTCOME).unlink()
     assert "resumes, but its code or files have changed" in changed_since(study, folder)
+    run_trial(study, folder)
+    assert TrialFolder(folder).attempts()[-1]["code"] == description["code"]
+    (folder / TRIAL).write_text(json.dumps(description))  # as if the change had been made later, and undone
+    (digest,) = description["code"].values()
+    (folder / ATTEMPTS).write_text((folder / ATTEMPTS).read_text().replace(digest, "another"))
+    assert said in changed_since(study, folder)
     assert changed_since(study, tmp_path / "none") == ""
 
 
