@@ -35,6 +35,7 @@ class Rollout:
     measured: Array | None = None  # (k+1, n) the sensors' readings; None without sensors
     sensed: bool = False  # whether `states` are these readings, as on a real robot; else the true states
     parameters: Array = field(default_factory=lambda: np.empty(0))  # (p,); set by the study that ran it
+    given_start: bool = False  # whether a method chose the experiment's start; else the task drew it
     source: str | None = None  # the file it was read from, if a person provided it
     earlier: Rollout | None = None  # the part of its recording before it
     continues: bool = False  # whether it follows a gap in a recording: earlier inputs are unknown

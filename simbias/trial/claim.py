@@ -51,8 +51,13 @@ def check_passes(passes: int | None, experiments: int) -> None:
         raise ValueError(f"passes: {passes} are fewer than the {experiments} experiments of an iteration")
 
 
-def claim_of(iteration: Iteration) -> Claim:
-    """The claim that an iteration's experiments support for its policy, with exact one-sided bounds."""
+def claim_of(iteration: Iteration) -> Claim | None:
+    """The claim that an iteration's experiments support for its policy, with exact one-sided bounds.
+
+    None if a start was not drawn by the task, but chosen by the method.
+    """
+    if any(rollout.given_start for rollout in iteration.experiments):
+        return None
     n = len(iteration.experiments)
     k = sum(rollout.failed_at is None for rollout in iteration.experiments)
     return Claim(k / n, *clopper_pearson(k, n, 1 - 2 * error_of(iteration.index)))

@@ -23,9 +23,10 @@ def packed_rollout(rollout: Rollout, place: tuple[int, ...]) -> bytes:
     Compression would make it 5% smaller, but take 20 times as long.
 
     Fields: parameters (p,), states (k+1, n), inputs (k, m), measured (k+1, n), sensed, failed_at, failure,
-    source, place. Costs are not kept, since they follow from these; `earlier` is always None.
+    source, place. Costs are not kept, since they follow from these, and `given_start`, which follows from the
+    method; `earlier` is always None.
     """
-    left_out = ("cost", "earlier", "continues")
+    left_out = ("cost", "given_start", "earlier", "continues")
     fields = ((name, value) for name, value in vars(rollout).items() if name not in left_out)
     given: dict[str, Any] = {name: value for name, value in fields if value is not None}
     file = io.BytesIO()

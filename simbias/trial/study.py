@@ -167,7 +167,9 @@ class Study:
         start: Array | None = None,
         observer: Observer | None = None,
     ) -> Rollout:
-        """Run theta (p,) on the hardware once; the default start (n,) is random.
+        """Run theta (p,) on the hardware once; the default start (n,) is drawn by the task.
+
+        Experiments with another start support no claim about the last policy.
 
         Raises
         ------
@@ -189,7 +191,7 @@ class Study:
         watching.experimenting(theta, begin)
         with self.checked_hardware.whole():
             made = self.checked_hardware.run(self.policy, theta, begin, rng).read_only()
-            rollout = self._judged(made, theta)
+            rollout = replace(self._judged(made, theta), given_start=start is not None)
             self.spending.add(rollout.frames * self.task.time_step)
             watching.experimented(rollout)
         return rollout

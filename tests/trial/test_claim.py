@@ -54,10 +54,13 @@ def test_a_trial_goes_on_until_its_bound_holds(point_mass: Study) -> None:
 
 def test_two_passes_claim_little(point_mass: Study) -> None:
     record = run_trial(replace(point_mass, method=ModelBased(), hardware=Fickle(1.0)))
-    claim = claim_of(record.iterations[-1])
+    last = record.iterations[-1]
+    assert (claim := claim_of(last))
     assert claim.share == 1
     assert claim.low == pytest.approx(error_of(0) ** 0.5)
     assert record.summary.claimed_share == claim.low
+    at_mean = point_mass.experiment(np.zeros(3), np.random.default_rng(0), point_mass.task.start_mean)
+    assert claim_of(replace(last, experiments=(at_mean, *last.experiments))) is None  # not of drawn starts
 
 
 @pytest.mark.slow
