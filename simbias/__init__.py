@@ -81,6 +81,8 @@ def run_sweep(
     ------
     simbias.config.ConfigError
         If the sweep is invalid; in that case nothing has run.
+    simbias.sweep.figure.UndrawnError
+        If a figure cannot be drawn; the error has the trials.
     """
     from simbias.sweep import running
 
