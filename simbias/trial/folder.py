@@ -1,8 +1,7 @@
 """The folder of a trial: its config and all its steps, append-only.
 
     trial.json              composed config, chosen options, versions, the user's own code; written first
-    attempts.jsonl          a line for each start of a process, each stop, each withdrawal, and first for the
-                            trial that this one continues, if any
+    attempts.jsonl          a line for the continued trial, if any, and for each start, stop and withdrawal
     0000_search.json        the steps in the order in which they ended:
     0001_experiment.npz     searches, hardware experiments,
     0002_iteration.json     iterations, with all their measured numbers,
