@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing
+from contextlib import closing, nullcontext, suppress
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -15,6 +15,7 @@ from simbias.config import ConfigError, Variations
 from simbias.config.build import build, service
 from simbias.config.sent_code import packed
 from simbias.core.interruption import Interruption, deferred
+from simbias.core.messages import counted
 from simbias.engine.contract import Engine, WorkerLostError
 from simbias.engine.workplace import tidy
 from simbias.sweep.figure import UndrawnError
@@ -181,22 +182,29 @@ class _Plans(Sequence[PlannedTrial]):
 
 
 def changed_trials(sweep: Sweep, store: Tracking) -> Iterator[str]:
-    """Lines on finished trials whose user code or test settings differ from the current ones."""
+    """Lines on trials whose user code or, if finished, test settings differ from the current ones."""
     if store.folder is None:
         return
     studies: dict[str, Study] = {}
-    changed, otherwise, finished = [], 0, 0
+    changed, resumed, otherwise, finished = list[str](), list[str](), 0, 0
     for trial in sweep.trials:
         folder = TrialFolder(store.folder / trial.hash)
-        if folder.ended:
-            finished += 1
-            if (cell := trial.cell.composition.group_hash) not in studies:
-                studies[cell] = build(trial.composition)
-            before, asked = folder.description(), studies[cell].policy_test
+        ended = folder.ended
+        if not ended and not folder.all_steps():
+            continue
+        if (cell := trial.cell.composition.group_hash) not in studies:
+            studies[cell] = build(trial.composition)
+        with nullcontext() if ended else suppress(ConfigError):  # the trial itself reports a damaged folder
             if modules := changed_code(folder, studies[cell]):
-                changed.append(modules)
+                (changed if ended else resumed).append(modules)
+        if ended:
+            finished += 1
+            before, asked = folder.description(), studies[cell].policy_test
             test = asdict(NO_TEST) | before["config"].get("policy_test", {})
             otherwise += asked.episodes > 0 and test != asdict(asked)
+    if resumed:
+        begun = counted(len(resumed), "unfinished trial")
+        yield f"{begun}: code or files have changed since ({resumed[0]}), and the new ones will run"
     problems = {f"ran on code or files that have changed since ({''.join(changed[:1])})": len(changed)}
     problems["were not tested as policy_test now asks"] = otherwise
     for problem, count in problems.items():

@@ -90,6 +90,10 @@ def test_what_ran_on_other_code_is_said(folder: Path, capsys: pytest.CaptureFixt
     ):
         assert main(command) == 0
         assert line in capsys.readouterr().err
+    next(folder.glob("trials/*/outcome.json")).unlink()
+    main(sweep)
+    said = "1 unfinished trial: code or files have changed since (my_gains), and the new ones will run"
+    assert said in capsys.readouterr().err
 
 
 def test_what_is_sent_to_workers_are_files(folder: Path) -> None:
