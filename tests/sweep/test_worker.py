@@ -1,6 +1,7 @@
 """What runs in a sweep's workers, and how a trial's folder travels where they share no disk."""
 
 from dataclasses import replace
+from importlib import import_module
 from io import BytesIO
 from pathlib import Path
 from socket import gethostname
@@ -107,6 +108,13 @@ def with_bias(plan: PlannedTrial, target: str) -> PlannedTrial:
 def test_a_trial_that_cannot_begin_is_a_result_too(
     plan: PlannedTrial, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    (tmp_path / "licensed.py").write_text("def build(composition): raise RuntimeError('no licence')\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with monkeypatch.context() as patch:  # as by a constructor
+        patch.setattr("simbias.sweep.worker.build", import_module("licensed").build)
+        own = run_plan(plan)
+    assert own.summary.reason == "RuntimeError: no licence"
+    assert "licensed.py" in own.traceback
     summary = run_plan(with_bias(plan, "simbias.learning.bias.gp.Nothing")).summary
     assert (summary.outcome, summary.experiments) == (Outcome.ERROR, 0)
     assert summary.reason.startswith("ConfigError: bias._target_: cannot import")
