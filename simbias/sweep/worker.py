@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import time
-import traceback
 import warnings
 import zipfile
 from collections.abc import Mapping, Sequence
@@ -22,7 +21,7 @@ from simbias.config.build import build
 from simbias.core import SlowWarning
 from simbias.core.error_origin import has_own_code
 from simbias.core.errors import ConfigError
-from simbias.core.messages import quote, with_type, words
+from simbias.core.messages import quote, with_trace, with_type, words
 from simbias.core.platform import package_digest
 from simbias.engine.contract import WorkplaceError
 from simbias.engine.workplace import temporary_folder
@@ -98,7 +97,7 @@ def run_plan(plan: PlannedTrial) -> Result:
             reason = with_type(error) + ("" if plan.code is None else _where(error))
             if not begun:
                 raise WorkplaceError(reason) from error
-            return lost(reason)._replace(traceback=own_traceback(error))
+            return lost(reason)._replace(traceback=with_trace(error) if has_own_code(error) else "")
     return Result(summary, "" if folder else record.traceback, packed)
 
 
@@ -116,11 +115,6 @@ def _where(error: BaseException) -> str:
     """The machine and folder of a cluster's worker, and its module path."""
     modules = "" if isinstance(error, OSError) else "; its PYTHONPATH finds modules"
     return f" (on {gethostname()}, in {Path.cwd()}{modules})"
-
-
-def own_traceback(error: BaseException) -> str:
-    """The traceback of an error that passed through the user's code, such as a constructor; "" otherwise."""
-    return "".join(traceback.format_exception(error)) if has_own_code(error) else ""
 
 
 def code(composition: Composition) -> Mapping[str, str]:

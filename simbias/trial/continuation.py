@@ -15,7 +15,7 @@ from typing import Any
 from simbias.core.errors import ConfigError
 from simbias.core.messages import counted
 from simbias.trial.disk import PART, append_line, write_json
-from simbias.trial.folder import ATTEMPTS, CONTINUES, EPISODE, TRIAL, Origin, TrialFolder
+from simbias.trial.folder import ATTEMPTS, CONTINUES, EPISODE, TRIAL, Origin, TrialFolder, kind_of, step_name
 from simbias.trial.origin import description
 from simbias.trial.run import TrialRecord
 from simbias.trial.study import Study
@@ -47,12 +47,12 @@ def continue_trial(study: Study, folder: Path, source: Path, read: Callable[[Pat
     _check(study, earlier, source)
     summary = earlier.summary
     origin = Origin(earlier.study.hash, summary.experiments, summary.seconds, old.platforms())
-    steps = [step for step in old.steps() if not step.name.endswith(EPISODE)]
+    steps = [step for step in old.steps() if kind_of(step) != EPISODE]
     part = folder.with_name(f".{folder.name}{PART}")
     shutil.rmtree(part, ignore_errors=True)  # left by a killed process
     part.mkdir(parents=True)
     for number, step in enumerate(steps):
-        shutil.copy2(step, part / f"{number:04d}_{step.name.partition('_')[2]}")
+        shutil.copy2(step, part / step_name(number, kind_of(step)))
     append_line(part / ATTEMPTS, {CONTINUES: origin._asdict()})
     now = description(study)
     write_json(part / TRIAL, {**old.description(), **{key: now[key] for key in OWN}})

@@ -225,6 +225,16 @@ def number(step: Path) -> int:
     return int(step.name.partition("_")[0])
 
 
+def kind_of(step: Path) -> str:
+    """The kind of step that follows the number, such as EXPERIMENT."""
+    return step.name.partition("_")[2]
+
+
+def step_name(number: int, kind: str) -> str:
+    """The name of the file of a step."""
+    return f"{number:04d}_{kind}"
+
+
 def withdraw(experiment: Path, reason: str = "") -> Withdrawal:
     """Withdraw the experiment in this file of a trial's folder; even a finished trial can then be resumed.
 

@@ -41,6 +41,7 @@ from simbias.trial.folder import (
     SEARCH,
     TRIAL,
     TrialFolder,
+    kind_of,
 )
 from simbias.trial.origin import description, digests, tell_what_is_in_clear
 from simbias.trial.replay import EndOfRecord, Record
@@ -88,9 +89,11 @@ class FolderRecord(Record):
     def _begin(self) -> None:
         """Write trial.json before the first step, and record the start of an attempt."""
         path = self.folder.path
-        there = self._steps.begin()
+        there, other = self._steps.begin(), {}
         if (path / TRIAL).exists():
             self.folder.check_identity(self._study.hash)
+            if (code := digests(self._study)) != self.folder.description().get("code", {}):
+                other = {"code": code}
         elif there or self.folder.numbered(OUTCOME).exists():
             raise missing(path / TRIAL)
         else:
@@ -99,8 +102,6 @@ class FolderRecord(Record):
         here, before = platform.kind(), self.folder.platforms()
         if self.folder.steps() and before and here not in before:  # read before this attempt's line is added
             logging.getLogger(__name__).warning(MIXED, path.name, before[-1], here)
-        code = digests(self._study)
-        other = {} if code == self.folder.description().get("code", {}) else {"code": code}
         attempt = {"started": time.time(), "platform": here, "processor": platform.processor(), **other}
         append_line(path / ATTEMPTS, attempt)
 
@@ -283,7 +284,7 @@ class FolderRecord(Record):
             if ended is not None and not (self.testing and self._episodes >= len(ended.test_episodes)):
                 raise missing(self._steps.path(kinds[0]))
             raise EndOfRecord
-        if step is not None and step.name.partition("_")[2] not in kinds:
+        if step is not None and kind_of(step) not in kinds:
             raise changed(step)
         return step
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from simbias.core.errors import ConfigError
 from simbias.trial.disk import PART, write_whole
-from simbias.trial.folder import TRIAL, TrialFolder, number
+from simbias.trial.folder import TRIAL, TrialFolder, number, step_name
 
 CHANGED = "was emptied, moved or changed while the trial ran. Restore it; the same command resumes the trial"
 
@@ -45,7 +45,7 @@ class StepFiles:
     def path(self, kind: str) -> Path:
         """The path of a new step after the existing ones."""
         steps = self._all if self.writes else self.folder.all_steps()
-        return self.folder.path / f"{number(steps[-1]) + 1 if steps else 0:04d}_{kind}"
+        return self.folder.path / step_name(number(steps[-1]) + 1 if steps else 0, kind)
 
     def write(self, file: Path, content: bytes) -> None:
         """Write the file of a step, which may exist even if the disk reports an error."""
