@@ -50,7 +50,7 @@ def load_trial(
     >>> trial = load_trial("trials/7a29f4c5425f")
 
     `trial` is a trial's folder, or the id of its run in the MLflow store `uri`. A folder needs no store. For
-    custom components see `load`; a warning names those that have changed since, and files that they read.
+    custom components see `load`; a warning names modules and files that have changed since it began.
 
     Raises
     ------

@@ -20,7 +20,7 @@ OTHER_CONFIG = (
     "its config is that of trial {}, not of {}: the file has been changed, or another version of simbias "
     "ran the trial. Restore the file, or read the trial with that version"
 )
-CHANGED = "simbias: trial %s: its code or files have changed since it began (%s); they may compute otherwise"
+CHANGED = "simbias: trial %s: its code or files have changed since it began (%s); results may differ"
 
 
 def read_folder(folder: Path, config_dir: Path | str | None = None, allow: Sequence[str] = ()) -> TrialRecord:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, nullcontext, suppress
+from contextlib import closing, suppress
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -194,7 +194,7 @@ def changed_trials(sweep: Sweep, store: Tracking) -> Iterator[str]:
             continue
         if (cell := trial.cell.composition.group_hash) not in studies:
             studies[cell] = build(trial.composition)
-        with nullcontext() if ended else suppress(ConfigError):  # the trial itself reports a damaged folder
+        with suppress(ConfigError):  # a damaged folder is reported when its trial is run
             if modules := changed_code(folder, studies[cell]):
                 (changed if ended else resumed).append(modules)
         if ended:
@@ -204,7 +204,7 @@ def changed_trials(sweep: Sweep, store: Tracking) -> Iterator[str]:
             otherwise += asked.episodes > 0 and test != asdict(asked)
     if resumed:
         begun = counted(len(resumed), "unfinished trial")
-        yield f"{begun}: code or files have changed since ({resumed[0]}), and the new ones will run"
+        yield f"{begun} will resume with code or files that have changed since ({resumed[0]})"
     problems = {f"ran on code or files that have changed since ({''.join(changed[:1])})": len(changed)}
     problems["were not tested as policy_test now asks"] = otherwise
     for problem, count in problems.items():

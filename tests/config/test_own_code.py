@@ -92,7 +92,7 @@ def test_what_ran_on_other_code_is_said(folder: Path, capsys: pytest.CaptureFixt
         assert line in capsys.readouterr().err
     next(folder.glob("trials/*/outcome.json")).unlink()
     main(sweep)
-    said = "1 unfinished trial: code or files have changed since (my_gains), and the new ones will run"
+    said = "1 unfinished trial will resume with code or files that have changed since (my_gains)"
     assert said in capsys.readouterr().err
 
 
