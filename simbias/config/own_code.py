@@ -7,8 +7,11 @@ count.
 from __future__ import annotations
 
 import ast
+import logging
 import sys
 from collections.abc import Iterator, Mapping
+from functools import cache
+from importlib.machinery import ModuleSpec
 from importlib.util import resolve_name
 from pathlib import Path
 from typing import Any
@@ -17,13 +20,16 @@ from simbias.config.allowed import OWN, targets
 from simbias.core.digest import short_digest
 
 INSTALLED = ("site-packages", "dist-packages")  # folders of unrelated packages
+EDITED = "simbias: %s was edited after Python had imported it; until Python restarts, the former code runs"
+_first_seen: dict[str, tuple[ModuleSpec | None, str]] = {}  # each module's spec and digest
 
 
 def digests(config: Mapping[str, Any]) -> dict[str, str]:
     """Digests of the user's modules that define a config's components, and their packages' versions.
 
     Modules that these import also count, if they lie in the same package or folder; other installed packages
-    do not. The components have been built, so their modules are loaded.
+    do not. The components have been built, so their modules are loaded. A warning names a module whose file
+    has changed since.
     """
     found: dict[str, str] = {}
     for target in targets({key: value for key, value in config.items() if isinstance(value, Mapping)}):
@@ -31,10 +37,26 @@ def digests(config: Mapping[str, Any]) -> dict[str, str]:
         if module.partition(".")[0] != OWN:
             for name, file in _with_imported(module):
                 found[name] = short_digest(file.read_bytes())
+                _tell_if_edited(name, found[name])
             version = getattr(sys.modules.get(module.partition(".")[0]), "__version__", None)
             if version is not None:
                 found[f"{module.partition('.')[0]} version"] = str(version)
     return dict(sorted(found.items()))
+
+
+def _tell_if_edited(module: str, digest: str) -> None:
+    """Warn once if a module has another digest than when first seen; importlib.reload starts afresh."""
+    spec = sys.modules[module].__spec__
+    if _first_seen.get(module, (spec, ""))[0] is not spec:
+        del _first_seen[module]
+    if _first_seen.setdefault(module, (spec, digest))[1] != digest:
+        _warn_once(module, digest)
+
+
+@cache
+def _warn_once(module: str, digest: str) -> None:
+    """Warn of an edit, which is known by its digest."""
+    logging.getLogger(__name__).warning(EDITED, module)
 
 
 def _with_imported(module: str) -> Iterator[tuple[str, Path]]:

@@ -1,5 +1,6 @@
 """A trial's run knows the user's own code that it ran, and says when it has changed."""
 
+import importlib
 import io
 import os
 import sys
@@ -48,15 +49,27 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         sys.modules.pop(name, None)
 
 
-def test_digests_are_of_own_modules_and_what_they_import_beside(folder: Path) -> None:
+def test_digests_are_of_own_modules_and_what_they_import_beside(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A module that is edited after its import is named, once, until it is imported again."""
     config = simbias.load(SMALL, folder / "conf").config
     before = digests(config)
     assert before.keys() == {"my_hardware", "my_gains"}
     (folder / "my_gains.py").write_text("GAIN = 2.0\n")
     after = digests(config)
     assert {name for name in after if after[name] != before[name]} == {"my_gains"}
+    assert digests(config) == after
+    assert (
+        caplog.text.count("my_gains was edited after Python had imported it")
+        == caplog.text.count("edited")
+        == 1
+    )
+    importlib.reload(sys.modules["my_gains"])
+    assert digests(config) == after
     (folder / "my_gains.py").write_text("GAIN = 1.0\n")
     assert digests(config) == before
+    assert caplog.text.count("edited") == 2
     assert digests(simbias.load(["tracking=none"]).config) == {}
 
 
