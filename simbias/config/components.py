@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import inspect
 import re
@@ -107,10 +108,15 @@ def constructor_parameters(component: Any) -> Mapping[str, inspect.Parameter]:
 @cache
 def _schema(component: Any, provided: frozenset[str]) -> TypeAdapter:
     """The schema of a constructor's arguments, except provided ones."""
-    hints = get_type_hints(component.__init__, include_extras=True)
+    parameters = constructor_parameters(component)
+    declared = dataclasses.fields(component) if dataclasses.is_dataclass(component) else ()
+    generated = parameters.keys() <= {
+        field.name for field in declared
+    }  # inherited fields are hints elsewhere
+    hints = get_type_hints(component if generated else component.__init__, include_extras=True)
     fields = {
         name: (Required if parameter.default is parameter.empty else NotRequired)[hints.get(name, Any)]
-        for name, parameter in constructor_parameters(component).items()
+        for name, parameter in parameters.items()
         if name not in provided
     }
     return _adapter(fields)

@@ -26,12 +26,32 @@ class Axis:
         return tuple(dict.fromkeys(key.lstrip("+") for point in self.points for key in point))
 
     @property
+    def heads(self) -> list[str]:
+        """Headings of its columns in a table: its name, or its keys, without their groups, in words."""
+        keys = self.keys if len(self.texts[0]) > 1 else [self.name]
+        return [_in_words(key) for key in keys]
+
+    def words(self, label: str) -> str:
+        """A point by its label; a number comes with the axis' name."""
+        return f"{_in_words(self.name)} {label}" if self.numeric else label
+
+    @property
     def numeric(self) -> bool:
         """Whether the labels are the points' values, which are numbers."""
         values = [list(point.values()) for point in self.points]
         numbers = (isinstance(value, int | float) for point in values for value in point)
         own = all(label == join(value) for label, value in zip(self.labels, values, strict=True))
         return own and all(numbers)
+
+
+def _in_words(key: str) -> str:
+    """A key without its groups, in words."""
+    return key.split(".")[-1].replace("_", " ")
+
+
+def in_words(axes: Sequence[Axis], labels: Sequence[str]) -> str:
+    """A point of each axis, by its label; numbers come with the names of their axes."""
+    return ", ".join(axis.words(label) for axis, label in zip(axes, labels, strict=True))
 
 
 def read_axis(name: str, spec: Any) -> Axis:
@@ -44,7 +64,7 @@ def read_axis(name: str, spec: Any) -> Axis:
 
     where = f"sweep.axes.{name}"
     if name != "seed" and name in (*COLUMNS, *MEASURES):
-        raise ConfigError(where, "an axis cannot have the name of a table's column")
+        raise ConfigError(where, f"is a column's name; choose another: {{other: {{keys: {name}, ...}}}}")
     if not isinstance(spec, Mapping):
         spec = {"keys": name, "values": spec}
     if "points" in spec:

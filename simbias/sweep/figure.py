@@ -83,8 +83,8 @@ class SweptTrials:
         return tuple(row[axis.name] for axis in self.sweep.axes)
 
     def cell(self, row: Row) -> str:
-        """The cell of a trial, by its labels."""
-        return " ".join(self.labels(row))
+        """The cell of a trial, in words."""
+        return self.sweep.words(self.labels(row))
 
 
 @dataclass(frozen=True, eq=False)

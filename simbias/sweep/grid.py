@@ -22,7 +22,7 @@ from simbias.config.composition import NOT_HASHED
 from simbias.config.hydra_config import overridden
 from simbias.core.digest import short_digest
 from simbias.core.ranges import Share
-from simbias.sweep.axes import Axis, label, read_axis
+from simbias.sweep.axes import Axis, in_words, label, read_axis
 from simbias.sweep.figure import SweepFigure
 from simbias.sweep.statistics import BAR
 
@@ -111,6 +111,10 @@ class Sweep:
             for repetition in range(self.repetitions)
             for cell in self.cells
         )
+
+    def words(self, labels: Sequence[str]) -> str:
+        """A cell in words, by its labels."""
+        return in_words(self.axes, labels)
 
     @cached_property
     def success(self) -> str:

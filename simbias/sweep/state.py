@@ -31,7 +31,10 @@ from simbias.trial.summary import Outcome, TrialSummary
 
 DAMAGED = "simbias: %s; the trial counts as unfinished"
 MIXED = "simbias: trials of this sweep are from %d platforms, so their last bits may differ: %s"
-PART = "simbias: running %d of the %d trials of %s: its tables, figures and page still show all"
+PART = (
+    "simbias: running %d of the %d trials of %s: its tables, figures and page still show all. To show only "
+    "these, delete that folder; trials lie beside it"
+)
 LOSES = "simbias: %s drops %d of its %d trials, which are no longer part of the sweep; their folders stay"
 MEANWHILE = (
     "simbias: trial %s was run here, or an experiment withdrawn, meanwhile: its worker's result is dropped"

@@ -12,15 +12,15 @@ import pandas as pd
 
 from simbias.core.messages import counted
 from simbias.core.proportions import CONFIDENCE, wilson
-from simbias.sweep.axes import Axis
 from simbias.sweep.grid import Sweep
 from simbias.sweep.statistics import FEWEST, episodes_needed, interval, passed, verdicts
+from simbias.trial.summary import Outcome
 
 BLANK = "–"  # noqa: RUF001  if there is no number
 RELIABLE = 0.9  # success rate from which a policy counts as reliable
 MEASURES = (
     *("trials", "succeeded", "raised", "mean", "low", "high", "iterations", "hardware_seconds"),
-    *("success_rate", "reliable", "tested", "holding", "long_success_rate", "paper"),
+    *("success_rate", "reliable", "tested", "holding", "different_policies", "long_success_rate", "paper"),
 )
 
 
@@ -41,7 +41,8 @@ def cells(trials: pd.DataFrame, sweep: Sweep) -> pd.DataFrame:
     `success_rate`, the share of test episodes in which the last policies succeed (or last for the horizon, if
     the task defines no success); `reliable`, the share of trials in which this is at least RELIABLE; and
     `long_success_rate`, the share of long test episodes that last to their end. Of the `tested` last policies
-    with enough episodes, `holding` pass the report's bar (`simbias.sweep.statistics.holds`).
+    with enough episodes, `holding` pass the report's bar (`simbias.sweep.statistics.holds`);
+    `different_policies` counts equal ones once.
     """
     names = [axis.name for axis in sweep.axes]
     trials_of: dict[tuple[str, ...], list[dict[Any, Any]]] = {cell.labels: [] for cell in sweep.cells}
@@ -66,8 +67,10 @@ def _measures(trials: Sequence[Mapping[str, Any]], bar: float) -> list[float]:
     rates = [success_rate(trial["test_episodes"]) for trial in tested]
     reliable = [float(rate >= RELIABLE) for rate in rates]
     held = verdicts([passed(trial["test_episodes"], trial["lasting_episodes"]) for trial in tested], bar)
-    held = held[~np.isnan(held)]
-    means = (_mean(seconds), _mean(rates), _mean(reliable), len(held), int(held.sum()), _mean(long))
+    judged = ~np.isnan(held)
+    different = len({trial["policy"] or trial["hash"] for trial in itertools.compress(tested, judged)})
+    holding = (int(judged.sum()), int(np.nansum(held)), different)
+    means = (_mean(seconds), _mean(rates), _mean(reliable), *holding, _mean(long))
     return [*counts, _mean(experiments), *interval(experiments), _mean(iterations), *means]
 
 
@@ -103,9 +106,9 @@ def arrange(
     """Arrange texts of all cells by label: the report's column axis in columns, the other axes in rows."""
     aside = next((axis for axis in sweep.axes if axis.name == sweep.report.columns), None)
     down = [axis for axis in sweep.axes if axis is not aside]
-    head = [name for axis in down for name in heads(axis)]
+    head = [name for axis in down for name in axis.heads]
     for label in aside.labels if aside else ("",):
-        head += [f"{column_head(aside, label)}: {measure}" if aside else measure for measure in measures]
+        head += [f"{aside.words(label)}: {measure}" if aside else measure for measure in measures]
     body = []
     for point in itertools.product(*(range(len(axis.labels)) for axis in down)):
         line = [text for axis, index in zip(down, point, strict=True) for text in axis.texts[index]]
@@ -115,17 +118,6 @@ def arrange(
             line += texts(tuple(where[axis.name] for axis in sweep.axes))
         body.append(line)
     return Layout(head, body)
-
-
-def heads(axis: Axis) -> list[str]:
-    """Headings of an axis' columns: its name, or its keys without their groups, in words."""
-    keys = axis.keys if len(axis.texts[0]) > 1 else [axis.name]
-    return [key.split(".")[-1].replace("_", " ") for key in keys]
-
-
-def column_head(axis: Axis, label: str) -> str:
-    """A label as the heading of columns; a number comes with its meaning."""
-    return f"{'/'.join(heads(axis))} {label}" if axis.numeric else label
 
 
 def _number(value: float) -> str:
@@ -144,11 +136,12 @@ def _experiments(row: Mapping[Any, Any]) -> str:
     return text if np.isnan(row["low"]) else f"{text} [{row['low']:.1f}, {row['high']:.1f}]"
 
 
-def share(k: int, n: int) -> str:
-    """A count with the Wilson interval of its share: 8/10 [49%, 94%]."""
+def share(k: int, n: int, independent: int | None = None) -> str:
+    """A count with the Wilson interval of its share: 8/10 [49%, 94%]; by default all n are independent."""
     if not n:
         return BLANK
-    low, high = wilson(k, n)
+    units = n if independent is None else independent
+    low, high = wilson(units * k / n, units)
     return f"{k}/{n} [{low:.0%}, {high:.0%}]"
 
 
@@ -166,7 +159,7 @@ TEXTS: Mapping[str, Callable[[Mapping[Any, Any]], str]] = {
     "hardware_seconds": lambda row: _number(row["hardware_seconds"]),
     "success_rate": lambda row: _share(row["success_rate"]),
     "reliable": lambda row: _share(row["reliable"]),
-    "holds": lambda row: share(row["holding"], row["tested"]),
+    "holds": lambda row: share(row["holding"], row["tested"], row["different_policies"]),
     "long_success_rate": lambda row: _share(row["long_success_rate"]),
     "paper": lambda row: _number(row["paper"]),
 }
@@ -198,6 +191,15 @@ def _left_out(count: int, why: str) -> str:
     return f" {counted(count, 'trial')} {why} and {'is' if count == 1 else 'are'} left out." * bool(count)
 
 
+def failures(trials: pd.DataFrame) -> str:
+    """The experiments that trials without success count as, if these differ, to append; "" otherwise."""
+    counted_as = trials.loc[trials["outcome"] == Outcome.NOT_SUCCEEDED, "experiments"]
+    if counted_as.nunique() < 2:
+        return ""
+    few, many = counted_as.min(), counted_as.max()
+    return f" (here {few:g} to {many:g}: where trials failed, a smaller mean need not be better)"
+
+
 def legend(sweep: Sweep, trials: pd.DataFrame) -> str:
     """The meaning of the numbers, in words."""
     iterations = "iterations: likewise; " if "iterations" in sweep.report.measures else ""
@@ -206,8 +208,9 @@ def legend(sweep: Sweep, trials: pd.DataFrame) -> str:
     return (
         f"experiments: mean number of hardware experiments until success [{CONFIDENCE:.0%} bootstrap "
         f"interval, where at least {FEWEST} trials are not all equal]; {iterations}a trial that never "
-        f"succeeds counts all that it may make; {seconds}beside counts: Wilson intervals of the share, of "
-        f"trials that are independent.{_of_tests(sweep, trials)}{left_out(trials['outcome'])}"
+        f"succeeds counts all that it may make{failures(trials)}; {seconds}beside counts: Wilson intervals "
+        "of the share, of trials that are independent."
+        f"{_of_tests(sweep, trials)}{left_out(trials['outcome'])}"
     )
 
 
@@ -223,7 +226,7 @@ def _of_tests(sweep: Sweep, trials: pd.DataFrame) -> str:
         "success_rate": f"mean share of {count} test episodes in which a trial's last policy {sweep.success}",
         "reliable": f"share of trials where that is at least {RELIABLE:.0%}",
         "holds": "last policies of which the share of test episodes passed, long ones to their end, has a "
-        f"lower Wilson limit above {sweep.report.bar:.0%}{takes}",
+        f"lower Wilson limit above {sweep.report.bar:.0%}{takes}; intervals count equal policies once",
         "long_success_rate": "mean share of long test episodes that last to their end",
     }
     shown = [f"{name}: {words}" for name, words in texts.items() if name in sweep.report.measures]

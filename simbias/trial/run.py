@@ -6,7 +6,7 @@ import logging
 import time
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
-from math import nan
+from math import inf, nan
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
@@ -234,16 +234,18 @@ class _Run(Observer):
         before = self._kept.folder if self._kept else None
         remarks = diagnostics.of_trial(self._iterations, self._study)
         claim = claim_of(self._iterations[-1]) if outcome is Outcome.SUCCEEDED else None
+        made, limit = len(self._made), self._study.budget.seconds or inf
+        seconds = self._study.task.time_step * sum(rollout.frames for rollout in self._made)
         summary = TrialSummary(
             outcome=outcome,
             reason=reason,
-            experiments=len(self._made),
+            experiments=made,
             iterations=len(self._iterations),
-            max_experiments=self._study.max_experiments,
+            max_experiments=made if seconds >= limit else self._study.max_experiments,
             max_iterations=method.max_iterations,
             ended=time.time(),
             seconds=time.perf_counter() - self._clock + (self._kept.seconds_before if self._kept else 0.0),
-            hardware_seconds=self._study.task.time_step * sum(rollout.frames for rollout in self._made),
+            hardware_seconds=seconds,
             test_episodes=test.successes if test else "",
             lasting_episodes=test.lasting if test else "",
             holding_episodes=test.holding if test else "",

@@ -62,7 +62,7 @@ class TrialSummary:
     traceback_file: str = ""
     experiments: int = 0  # on hardware, so far
     iterations: int = 0  # finished so far
-    max_experiments: int = 0  # that the method may run
+    max_experiments: int = 0  # that method and budget allow; once its seconds are spent, those made
     max_iterations: int = 0
     ended: float = nan  # or stopped, s since the epoch; nan if it is running, or was killed
     seconds: float = 0.0  # wall time of all processes that ran it; of a killed one, that of its iterations

@@ -29,9 +29,10 @@ class Costs(SweepFigure):
 
     def draw(self, trials: SweptTrials, outcomes: Sequence[Outcomes]) -> Picture:
         """The picture; its numbers are a row for each iteration of each trial."""
-        rows, limits = [], {}  # Z_max by cell
+        rows, limits = [], {}  # Z_max by cell, where it decides on success
         for row, trial in trials.in_full():
-            limits[str(trials.cell(row))] = trial.study.cost.max_cost
+            if not trial.study.task.says_success:
+                limits[trials.cell(row)] = trial.study.cost.max_cost
             rows += [
                 {
                     "cell": trials.cell(row),
@@ -70,7 +71,7 @@ def _figure(panels: dict[str, pd.DataFrame], limits: dict[str, float]) -> Figure
         plain(axes)
     grid[0, 0].set_yscale("log")
     panel = dict(zip(panels, grid.flat, strict=False))
-    for cell in sorted(panel, key=lambda each: -limits[each]):  # the highest first: all have the same scale
+    for cell in sorted(limits, key=lambda each: -limits[each]):  # the highest first: all have the same scale
         shade_beyond(panel[cell], limits[cell], r"limit $Z_{\max}$")
     for axes in grid.flat[len(panels) :]:
         axes.axis("off")
@@ -110,9 +111,10 @@ def _caption(panels: dict[str, pd.DataFrame], limits: dict[str, float]) -> str:
         elif lengths:
             when = f", after {min(lengths)} to {max(lengths)} iterations (median {np.median(lengths):g})"
         where = f"{title}: " if title else ""
-        sentences.append(f"{where}{len(lengths)} of {len(trials)} trials end below the limit{when}")
+        sentences.append(f"{where}{len(lengths)} of {len(trials)} trials succeed{when}")
     limit = " or ".join(f"{each:g}" for each in dict.fromkeys(limits.values()))
+    fails = f"; above the limit {limit} a policy has failed" * bool(limits)
     return (
-        f"The greatest cost of an iteration's experiments on hardware, for each trial; above the limit "
-        f"{limit} a policy has failed. {'; '.join(sentences)}."
+        f"The greatest cost of an iteration's experiments on hardware, for each trial{fails}. "
+        f"{'; '.join(sentences)}."
     )

@@ -181,8 +181,10 @@ class SuccessRates(SweepFigure):
                 f"({rates['rate'].min():.1%} to {rates['rate'].max():.1%} with each of the {len(rates)} "
                 f"policies, {successes} of which had succeeded when learning ended)"
             )
-        n = int(numbers.groupby(["cell", self._x.state, self._y.state])["experiments"].sum().max())
-        half = max(np.ptp(wilson(k, n)) / 2 for k in range(n + 1))
+        counts = numbers.groupby(["cell", self._x.state, self._y.state])["experiments"].sum()
+        few, many = int(counts.min()), int(counts.max())
+        half = max(np.ptp(wilson(k, few)) / 2 for k in range(few + 1))
+        n = f"{few}" if few == many else f"{few} to {many} (by cell)"
         alike = ", where those with one policy are all alike and count as one"
         alike *= bool((numbers["experiments"] < self._experiments).all())
         return (

@@ -3,7 +3,8 @@
 `python sweeps/studies/paired.py SWEEP AXIS [--by AXIS]` compares every point of an axis with its first one,
 in the published trials of a sweep that has the axis among its `common_seeds`, or in those of your own one, if
 SWEEP is its `trials.csv`; for each point of another axis apart, if one is named. A trial that never succeeds
-counts all experiments that it may make; one that raised an error is left out, with its pairs.
+counts all experiments that it may make, and a line says if this differs between trials; one that raised an
+error is left out, with its pairs.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import pandas as pd
 from simbias.config import ConfigError
 from simbias.sweep import results
 from simbias.sweep.grid import expand
-from simbias.sweep.tables import left_out, share
+from simbias.sweep.tables import failures, left_out, share
 
 HEAD = (
     "experiments",
@@ -35,7 +36,7 @@ def paired(name: str, axis: str, by: str | None = None) -> str:
     Raises
     ------
     ConfigError
-        If there is no such sweep, or an axis is none of it.
+        If there is no such sweep, an axis is none of it, or trials have other seeds at its points.
     """
     if name.endswith(".csv"):
         head = pd.read_csv(name, nrows=0).columns
@@ -57,6 +58,8 @@ def paired(name: str, axis: str, by: str | None = None) -> str:
     for group, own in groups:
         points = {point: trials.set_index(keys) for point, trials in own.groupby(axis, sort=False)}
         first = next(iter(points.values()))
+        if any((first["seed"] - these["seed"]).any() for these in points.values()):
+            raise ConfigError("", f"trials are not paired: {axis} is not among the sweep's common_seeds")
         for point, these in points.items():
             cells = [
                 *([str(group)] if by else []),
@@ -64,6 +67,8 @@ def paired(name: str, axis: str, by: str | None = None) -> str:
                 *row(these, None if these is first else first),
             ]
             lines.append(f"| {' | '.join(cells)} |")
+    if failing := failures(trials):
+        lines += ["", f"A trial that never succeeds counts all experiments that it may make{failing}."]
     if missing := left_out(trials["outcome"]):
         lines += ["", missing.strip()]
     return "\n".join(lines) + "\n"

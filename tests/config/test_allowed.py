@@ -132,6 +132,18 @@ def test_what_is_allowed_is_no_part_of_a_trials_identity() -> None:
     assert other.own.modules == ("elsewhere", "point_mass")
 
 
+def test_an_own_dataclass_may_extend_a_shipped_one(project: Path) -> None:
+    """Annotations of inherited fields name what only the shipped module imports."""
+    own = ("from dataclasses import dataclass", "from simbias.trial.methods.algorithm1 import Algorithm1")
+    text = "\n".join([*own, "@dataclass(eq=False)", "class Mine(Algorithm1):", "    more: float = 1.0"])
+    (project / "mine.py").write_text(f"from __future__ import annotations\n{text}\n")
+    values = ["method._target_=mine.Mine", "+method.more=2", "method.max_iterations=3", "tracking=none"]
+    method = simbias.load(values, project / "conf", allow=["mine"]).method
+    assert (type(method).__name__, method.more, method.max_iterations) == ("Mine", 2.0, 3)  # type: ignore[attr-defined]
+    with pytest.raises(ConfigError, match=r"^method\.more: .*got 'much'"):
+        simbias.load([*values, "method.more=much"], project / "conf", allow=["mine"])
+
+
 EXITS = "raise SystemExit(7)"
 CANCELLED = "import asyncio\nraise asyncio.CancelledError('late')"
 CONSTRUCTOR = CLASS.replace(" ...", "\n    def __init__(self{}) -> None: {}")

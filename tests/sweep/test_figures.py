@@ -87,10 +87,21 @@ def test_comparisons_numbers_are_those_of_the_trials() -> None:
     picture_of_two = Comparison("method").draw(made_up({"ideal": [half, all_of_16, all_of_16]}), ())
     (curve,) = picture_of_two.figure.axes[-1].lines
     assert np.asarray(curve.get_ydata()).tolist() == pytest.approx([0, 1 / 3, 2 / 3, 2 / 3])  # of all trials
-    alike = Comparison("method").draw(made_up({"LQI": [half] * 3, "LQR": [half] * 3}), ())
+    two = made_up({"LQI": [half, all_of_16, fallen]})
+    five = pd.concat([two.table.assign(method=str(i)) for i in range(5)])
+    alike = Comparison("method").draw(replace(two, table=five), ())
+    assert alike.numbers["share_low"].isna().all()
+    assert "bootstrap" not in alike.caption
+    six = pd.concat(
+        [two.table.assign(repetition=3 * i + two.table["repetition"], hash=str(i)) for i in range(2)]
+    )
+    of_policies = Comparison("method").draw(replace(two, table=six.assign(policy=list("abcdef"))), ())
+    assert of_policies.numbers["share_low"].item() < 0.5 < of_policies.numbers["share_high"].item()
+    assert "with its 95% bootstrap interval over cells, or the policies of one. Below" in of_policies.caption
     for axes in alike.figure.axes[-2:]:
-        one, other = (line.get_transform().transform(line.get_xydata()) for line in axes.lines)
-        assert ((one - other) * 72 / alike.figure.dpi)[:, 1] == pytest.approx(1.6)  # pt, about a line's width
+        one, *others = (line.get_transform().transform(line.get_xydata()) for line in axes.lines)
+        below = [((one - other) * 72 / alike.figure.dpi)[0, 1] for other in others]
+        assert below == pytest.approx([1.6, 3.2, 4.8, 4.8])  # pt, about a line's width, and not too far
     none = Comparison("method").draw(made_up({"LQI": [fallen] * 3}), ())
     assert none.caption.endswith(" No trial ends with a policy that holds.")
     tie = Comparison("method").draw(made_up({"LQI": [all_of_16, "-", "-"], "ideal": [all_of_16] * 3}), ())
@@ -115,9 +126,10 @@ def test_comparisons_numbers_are_those_of_the_trials() -> None:
     assert numbers[["p LQI", "p LQR"]].isna().all(axis=None)
     assert "takes 16 test episodes: 4 trials have fewer and do not count" in partly.caption
     assert partly.caption.endswith(" 2 trials ended without a test and are left out.")
-    short = Comparison("method").draw(made_up({"LQI": ["1" * 10] * 3}), ())
-    assert short.numbers[["holds_low", "holds_high"]].isna().all(axis=None)
-    assert short.caption.endswith("one below the other.")
+    for fewer in (["1" * 10] * 3, ["1" * 10, "1" * 10, ""]):  # also if a trial raised
+        short = Comparison("method").draw(made_up({"LQI": fewer}), ())
+        assert short.numbers[["holds_low", "holds_high"]].isna().all(axis=None)
+        assert short.caption.endswith("one below the other.")
     alone = replace(made_up(texts), sweep=replace(sweep, axes=sweep.axes[1:]))  # no axis beside the methods
     pd.testing.assert_frame_equal(Comparison("method", ["LQI"]).draw(alone, ()).numbers, picture.numbers)
     easy = made_up({"LQI": ["1" * 15 + "0"] * 3, "ideal": [all_of_16] * 3})
@@ -202,6 +214,7 @@ def test_labels_may_be_long_and_cells_alike_when_joined() -> None:
 
 
 def test_legends_and_rows_name_their_axes() -> None:
+    """Also by labels that begin with an underscore, and cells in words."""
     several = "x: {keys: [bias.d, hardware.inertia_error], values: [[2.0, 0.1]]}"
     learners = ("acceleration_residual", "permuted_gp_learned", "gp")
     axes = f"{{bias: [{', '.join(learners)}], evaluation: [nominal_start, domain_randomization], {several}}}"
@@ -218,6 +231,12 @@ def test_legends_and_rows_name_their_axes() -> None:
     assert legend.get_title().get_text() == "evaluation, d/inertia error"
     assert legend.get_texts()[0].get_text() == "nominal_start, 2/0.1"
     assert [each.get_text() for each in axes.get_yticklabels()] == list(learners)
+    assert sweep.words(("gp", "nominal_start", "2/0.1")) == "gp, nominal_start, x 2/0.1"
+    points = "{_short: {task.horizon: 100}, _long: {task.horizon: 200}}"
+    hidden = expand([f"+sweep={{trials: 1, axes: {{bias: [gp, none], of: {{points: {points}}}}}}}"])
+    rows = [{**dict(zip(("bias", "of"), cell.labels, strict=True)), **ended} for cell in hidden.cells]
+    (legend,) = Experiments().draw(swept(hidden, rows), ()).figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == [r"$\_$short", r"$\_$long"]
     keys = "keys: [bias.d, bias.noise_variance]"
     for gap, ticks, name in (
         ("{points: {1 N m/rad: {bias.d: 2.0, bias.noise_variance: 0.5}}}", "1 N m/rad", "gap"),
@@ -256,7 +275,10 @@ def test_eight_series_are_told_from_each_other() -> None:
         names = ("index", "hardware_cost", "succeeded")
         iterations = [dict(zip(names, each, strict=True), total_experiments=each[0] + 1) for each in costs]
         return SimpleNamespace(
-            study=SimpleNamespace(cost=SimpleNamespace(max_cost=100.0 * (1 + int(hash_) // 2))),
+            study=SimpleNamespace(
+                cost=SimpleNamespace(max_cost=100.0 * (1 + int(hash_) // 2)),
+                task=SimpleNamespace(says_success=False),
+            ),
             iterations=[SimpleNamespace(**each, search=None) for each in iterations],
         )
 

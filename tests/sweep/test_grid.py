@@ -164,7 +164,7 @@ def test_bad_sweep() -> None:
         "sweep.axes: 0 none and 0  none are the same": ["+sweep=smoke", "+sweep.axes.bias=[none, ' none']"],
         "sweep.report.columns: no such axis: no": ["+sweep=smoke", "+sweep.report.columns=no"],
         "sweep.common_seeds: no such axis: no; available: ": ["+sweep=smoke", "+sweep.common_seeds=[no]"],
-        "sweep.axes.mean: an axis cannot have the name": [
+        "sweep.axes.mean: is a column's name; choose another": [
             "+sweep=smoke", "+sweep.axes.mean={keys: bias.d, values: [1]}"
         ],
     }.items():  # fmt: skip

@@ -176,6 +176,12 @@ def test_pairs_with_what_raised_are_left_out(tmp_path: Path) -> None:
     last, *missing = paired(str(tmp_path / "trials.csv"), "method").splitlines()[-3:]
     assert last == "| B | 2.00 | -2.00, nan | 1 of 1 | 2.00 | 1/1 [21%, 100%] | 1.0 |"
     assert missing == ["", "1 trial raised an error and is left out."]
+    failed = trials.assign(outcome="not succeeded", experiments=[20.0, 20.0, 2.0, 2.0])[columns]
+    failed.to_csv(tmp_path / "failed.csv", index=False)
+    assert "may make (here 2 to 20: where trials failed" in paired(str(tmp_path / "failed.csv"), "method")
+    failed.assign(seed=range(4)).to_csv(tmp_path / "others.csv", index=False)
+    with one_line("^trials are not paired: method is not among the sweep's common_seeds$"):
+        paired(str(tmp_path / "others.csv"), "method")
     for axes in (["methot"], ["method", "methot"]):
         with one_line("^no such axis: methot; there are method$"):
             paired(str(tmp_path / "trials.csv"), *axes)

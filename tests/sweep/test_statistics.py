@@ -50,6 +50,9 @@ def test_sixteen_of_sixteen_hold_and_fifteen_do_not(smoke: Sweep) -> None:
     assert "(of those with the 16 episodes it takes)" in legend(sweep, frame)
     frame.loc[0, "test_episodes"] = "1" * 16
     assert [row[-1] for row in layout(cells(frame, sweep), sweep).body] == ["1/1 [21%, 100%]", "–"]  # noqa: RUF001
+    for policy, interval_ in (("", "[44%, 100%]"), ("that of all", "[21%, 100%]")):  # equal ones count once
+        frame = made_up(sweep).assign(test_episodes="1" * 16, policy=policy)
+        assert [row[-1] for row in layout(cells(frame, sweep), sweep).body] == [f"3/3 {interval_}"] * 2
 
 
 @pytest.mark.slow
@@ -149,6 +152,9 @@ def test_a_failure_counts_all_experiments_and_an_error_none(smoke: Sweep) -> Non
     assert "| 2/3 [21%, 94%] |" in text
     assert "| 2/2 [34%, 100%], 1 raised |" in text
     assert legend(smoke, frame).endswith(" 1 trial raised an error and is left out.")
+    assert "counts all that it may make;" in legend(smoke, frame)
+    frame.loc[3, ["outcome", "experiments"]] = ["not succeeded", 2.0]  # of another method
+    assert "counts all that it may make (here 2 to 20: where trials failed, a" in legend(smoke, frame)
 
 
 def test_measures_are_those_that_the_report_names() -> None:

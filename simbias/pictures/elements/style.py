@@ -73,8 +73,9 @@ def symbol(name: str) -> str:
 
 
 def literal(text: str) -> str:
-    """The user's text, with dollar signs escaped from mathematics."""
-    return text.replace("$", r"\$")
+    """The user's text, without mathematics; a leading underscore would hide it from legends."""
+    words = text.replace("$", r"\$")
+    return rf"$\_${words[1:]}" if words.startswith("_") else words
 
 
 def seconds(task: Task, frame: int) -> float:

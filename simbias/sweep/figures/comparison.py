@@ -17,6 +17,7 @@ from matplotlib.transforms import ScaledTranslation
 from simbias.core.proportions import wilson
 from simbias.core.records import Array
 from simbias.pictures.elements.style import SIMULATION, SMALL, literal, plain, series_style
+from simbias.sweep.axes import Axis, in_words
 from simbias.sweep.batches import Outcomes
 from simbias.sweep.figure import UNTESTED, FigureError, Picture, SweepFigure, SweptTrials
 from simbias.sweep.grid import Sweep
@@ -37,9 +38,10 @@ WIDTH, ROW, CURVES, REST = 7.2, 0.19, 2.9, 2.0  # in: width; heights of a method
 TINY = 7  # points
 LETTERS = 34  # per line of a method's name
 MOST = 8  # curves in a panel
-BELOW = 1.6 / 72  # in, offset of a curve below an identical one
+BELOW, LOWEST = 1.6 / 72, 3  # in, offset of a curve below an identical one; the most offsets
 SLANTED: dict[str, Any] = {"rotation": 55, "ha": "right", "va": "top", "rotation_mode": "anchor"}
 THRESHOLDS = np.linspace(0, 1, 101)
+SCORE, HOLDS = " score", " holds"  # columns beside those of the table and its axes
 
 
 class Comparison(SweepFigure):
@@ -92,15 +94,16 @@ class Comparison(SweepFigure):
         if not any(row["test_episodes"] for row in trials.rows):
             raise FigureError(UNTESTED)
         table = _scored(trials.table, trials.sweep.report.bar)
-        others = [name for name in labels if name != self._axis]
+        apart = [axis for axis in trials.sweep.axes if axis.name != self._axis]
+        others = [axis.name for axis in apart]
         groups = table.groupby(self._axis, sort=False)
-        own = {str(name): _Method(each, others) for name, each in groups if each["score"].notna().any()}
+        own = {str(name): _Method(each, others) for name, each in groups if each[SCORE].notna().any()}
         numbers = pd.DataFrame([method.row(name) for name, method in own.items()])
         for name in self._references:
             if name in own:
                 numbers = numbers.join(_against(own, own[name]).add_suffix(f" {name}"), on="method")
         curves = {name: own[name] for name in (self._curves or [*own][:MOST]) if name in own}
-        figure = _figure(own, numbers, curves)
+        figure = _figure(own, numbers, curves, apart)
         caption = _caption(numbers, trials.sweep)
         if len(curves) < len(own):
             caption += f" Curves are of {len(curves)} of {len(own)} methods."
@@ -115,19 +118,21 @@ def _scored(table: pd.DataFrame, bar: float) -> pd.DataFrame:
     scores = np.array([text.count("1") / len(text) if text else np.nan for text in tests])
     score = np.where(table["outcome"] == "error", np.nan, scores)
     policy = table["policy"].where(table["policy"] != "", table["hash"])  # may be unpublished
-    return table.assign(score=score, holds=verdicts(tests, bar), policy=policy)
+    scored = table.assign(policy=policy)
+    scored[SCORE], scored[HOLDS] = score, verdicts(tests, bar)
+    return scored
 
 
 class _Method:
     """The trials of a method, with scores and the share that holds, by cell (labels of the other axes)."""
 
     def __init__(self, trials: pd.DataFrame, others: list[str]) -> None:
-        self.trials = trials[trials["score"].notna()].set_index([*others, "repetition"])
+        self.trials = trials[trials[SCORE].notna()].set_index([*others, "repetition"])
         self.raised = int((trials["outcome"] == "error").sum())
         grouped: Any = trials.groupby(others, sort=False) if others else [((), trials)]
         cells = {name: own.set_index("repetition") for name, own in grouped}
-        self.scores = {name: own["score"] for name, own in cells.items()}
-        self.holding = {name: float(own["holds"].mean()) for name, own in cells.items()}
+        self.scores = {name: own[SCORE] for name, own in cells.items()}
+        self.holding = {name: float(own[HOLDS].mean()) for name, own in cells.items()}
         self.tried = [name for name, scores in self.scores.items() if scores.notna().any()]
 
     def matrix(self, cells: Sequence[Any]) -> Array:
@@ -136,11 +141,14 @@ class _Method:
 
     def row(self, name: str) -> dict[str, Any]:
         """The method's numbers."""
-        held, judged = int(self.trials["holds"].sum()), int(self.trials["holds"].count())
+        held, judged = int(self.trials[HOLDS].sum()), int(self.trials[HOLDS].count())
         scores, units = self.matrix(self.tried), int(np.isfinite([*self.holding.values()]).sum())
         if units == 1:
-            units = self.trials.loc[self.trials["holds"].notna(), "policy"].nunique()
-        low, high = bootstrap(interquartile_mean, scores)
+            units = self.trials.loc[self.trials[HOLDS].notna(), "policy"].nunique()
+        different = self.trials.drop_duplicates("policy")
+        low, high = bootstrap(
+            interquartile_mean, different[[SCORE]].to_numpy().T if len(self.tried) == 1 else scores
+        )
         least, most = wilson(units * held / max(judged, 1), units)
         return {
             "method": name,
@@ -181,12 +189,12 @@ def _of_pairs(method: _Method, reference: _Method) -> list[float]:
     """Differences in whether trials hold, over a cell's pairs; pairs with the same policies count once."""
     both = method.trials.join(reference.trials.add_suffix(" of reference"), how="inner")
     different = both[~both.duplicated(["policy", "policy of reference"])]
-    return (different["holds"] - different["holds of reference"]).tolist()
+    return (different[HOLDS] - different[f"{HOLDS} of reference"]).tolist()
 
 
 def _caption(numbers: pd.DataFrame, sweep: Sweep) -> str:
     """The caption, from the numbers."""
-    shares = numbers["holds"] / (numbers["judged"] + numbers["raised"])  # if nothing ended, nothing holds
+    shares = (numbers["holds"] / (numbers["judged"] + numbers["raised"])).where(numbers["judged"] > 0)
     best = numbers[shares == shares.max()].to_dict("records")
     held = ", ".join(map(_held, best))
     alike = len(best) == shares.count() > 1
@@ -194,15 +202,17 @@ def _caption(numbers: pd.DataFrame, sweep: Sweep) -> str:
     most = f" Policies hold {often} with {held}; Wilson intervals are over cells, or the policies of one."
     if not shares.any():
         most = " No trial ends with a policy that holds." * bool(shares.count())
+    spread = ", with its 95% bootstrap interval over cells, or the policies of one"
+    spread *= bool(numbers["share_low"].notna().any())
     few = int((numbers["trials"] - numbers["judged"]).sum())
     needed = episodes_needed(sweep.report.bar)
     takes = f", which takes {needed} test episodes: {few} trials have fewer and do not count" * bool(few)
     return (
         f"Above: share of test episodes in which the last policy {sweep.success}, long ones to their end, "
-        "mean of each cell; at the right the interquartile mean, with its 95% bootstrap interval over cells. "
+        f"mean of each cell; at the right the interquartile mean{spread}. "
         "Below: share of trials with more than so much; share of trials that end within so many experiments "
-        f"with a policy that holds (lower Wilson limit above {sweep.report.bar:.0%}{takes}); "
-        f"curves that are the same lie one below the other.{most}"
+        "(without success, within all that they may make) with a policy that holds (lower Wilson limit above "
+        f"{sweep.report.bar:.0%}{takes}); curves that are the same lie one below the other.{most}"
     )
 
 
@@ -213,14 +223,16 @@ def _held(row: dict[Any, Any]) -> str:
     return f"{row['method']} {row['holds']} of {row['judged']} ({low:.0%} to {high:.0%}{raised})"
 
 
-def _figure(methods: dict[str, _Method], numbers: pd.DataFrame, curves: dict[str, _Method]) -> Figure:
-    """The figure of two rows."""
+def _figure(
+    methods: dict[str, _Method], numbers: pd.DataFrame, curves: dict[str, _Method], apart: Sequence[Axis]
+) -> Figure:
+    """The figure of two rows; a cell is a point of the axes apart from the methods'."""
     above = ROW * sum(1 + _label(*each).count("\n") for each in methods.items()) + REST
     figure = Figure(figsize=(WIDTH, above + CURVES), layout="constrained")
     rows: Any = figure.subfigures(2, 1, height_ratios=[above, CURVES])
     top, bottom = rows
     cells, mean = top.subplots(1, 2, width_ratios=[2.6, 1.0], sharey=True)
-    _draw_cells(cells, methods)
+    _draw_cells(cells, methods, apart)
     _draw_means(mean, numbers)
     _draw_curves(bottom, curves)
     return figure
@@ -231,7 +243,7 @@ def _label(name: str, method: _Method) -> str:
     return fill(literal(name) + f", {method.raised} raised" * bool(method.raised), LETTERS)
 
 
-def _draw_cells(axes: Axes, methods: dict[str, _Method]) -> None:
+def _draw_cells(axes: Axes, methods: dict[str, _Method], apart: Sequence[Axis]) -> None:
     """A row for each method, a column for each cell."""
     means = [{cell: own.mean() for cell, own in method.scores.items()} for method in methods.values()]
     names = [*dict.fromkeys(cell for own in means for cell in own)]
@@ -241,7 +253,7 @@ def _draw_cells(axes: Axes, methods: dict[str, _Method]) -> None:
         if np.isfinite(share):
             color = "white" if share > 0.8 else "0.25"
             axes.text(column, row, f"{100 * share:.0f}", ha="center", va="center", fontsize=TINY, color=color)
-    ticks = [fill(literal(" ".join(name)), 26) for name in names]
+    ticks = [fill(literal(in_words(apart, name)), 26) for name in names]
     axes.set_xticks(range(len(names)), ticks, fontsize=TINY, **SLANTED)
     axes.set_yticks(range(len(methods)), [_label(*each) for each in methods.items()], fontsize=8)
     axes.tick_params(length=0)
@@ -269,10 +281,10 @@ def _draw_curves(figure: SubFigure, methods: dict[str, _Method]) -> None:
     for index, (name, method) in enumerate(methods.items()):
         color, marker = series_style(index)
         style = {"color": color, "marker": marker, "markersize": 4, "linewidth": 1.4}
-        profile = performance_profile(method.trials["score"].to_numpy(), THRESHOLDS)
+        profile = performance_profile(method.trials[SCORE].to_numpy(), THRESHOLDS)
         handles[name] = _draw_curve(left, THRESHOLDS, profile, markevery=(2 * index, 20), **style)
-        if judged := method.trials["holds"].count():
-            held = method.trials.loc[method.trials["holds"] == 1, "experiments"]
+        if judged := method.trials[HOLDS].count():
+            held = method.trials.loc[method.trials[HOLDS] == 1, "experiments"]
             experiments, counts = np.unique(held.to_numpy(dtype=float), return_counts=True)
             share = np.cumsum([0, *counts, 0]) / judged
             _draw_curve(right, np.array([0.0, *experiments, most]), share, drawstyle="steps-post", **style)
@@ -301,6 +313,7 @@ def _draw_curves(figure: SubFigure, methods: dict[str, _Method]) -> None:
 def _draw_curve(axes: Axes, x: Array, y: Array, **style: Any) -> Line2D:
     """A curve, drawn slightly below identical ones."""
     same = sum(np.array_equal(line.get_xydata(), np.column_stack([x, y])) for line in axes.lines)
+    below = min(same, LOWEST) * BELOW
     (line,) = axes.plot(x, y, **style)
-    line.set_transform(axes.transData + ScaledTranslation(0, -same * BELOW, axes.figure.dpi_scale_trans))
+    line.set_transform(axes.transData + ScaledTranslation(0, -below, axes.figure.dpi_scale_trans))
     return line

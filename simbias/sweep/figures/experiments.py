@@ -16,7 +16,7 @@ from simbias.pictures.elements.style import literal, plain, series_style
 from simbias.sweep.batches import Outcomes
 from simbias.sweep.figure import NONE_ENDED, FigureError, Picture, SweepFigure, SweptTrials
 from simbias.sweep.statistics import FEWEST
-from simbias.sweep.tables import cells, heads
+from simbias.sweep.tables import cells, failures
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -47,10 +47,10 @@ class Experiments(SweepFigure):
         table = cells(trials.table, trials.sweep)
         if not table["trials"].any():
             raise FigureError(NONE_ENDED)
-        return Picture(_figure(table, trials.sweep), table, _caption(table))
+        return Picture(_figure(table, trials.sweep), table, _caption(table, failures(trials.table)))
 
 
-def _caption(table: pd.DataFrame) -> str:
+def _caption(table: pd.DataFrame, failing: str) -> str:
     """The caption, from the numbers."""
     trials, successes = table["trials"].sum(), table["succeeded"].sum()
     papers = "; hollow: the paper's means" if table["paper"].notna().any() else ""
@@ -60,7 +60,7 @@ def _caption(table: pd.DataFrame) -> str:
         f"Mean number of hardware experiments until success, with {CONFIDENCE:.0%} bootstrap intervals "
         f"(of {FEWEST} trials at least, not all equal){papers}. {successes} of {trials} trials succeeded "
         "(beside cells: of their own, if not all, and how many raised an error); "
-        "one that did not counts all that it may make."
+        f"one that did not counts all that it may make{failing}."
         f"{against}"
     )
 
@@ -84,13 +84,13 @@ def _figure(table: pd.DataFrame, sweep: Sweep) -> Figure:
         _curve(axes, own, offset, PAPER_BELOW / row, index, literal(", ".join(point)))
     axes.set_yticks(range(len(labels)), labels)
     axes.set_ylim(len(labels) - 0.4, -0.6)
-    axes.set_ylabel(", ".join(heads(along)))
+    axes.set_ylabel(", ".join(along.heads))
     axes.set_xlim(left=0)
     axes.locator_params(axis="x", integer=True)
     axes.set_xlabel("hardware experiments until success")
     plain(axes, "x")
     if len(curves) > 1 or bool(table["paper"].notna().any()):
-        legend(figure, _ours_first(axes), literal(", ".join("/".join(heads(axis)) for axis in others)))
+        legend(figure, _ours_first(axes), literal(", ".join("/".join(axis.heads) for axis in others)))
     return figure
 
 

@@ -16,7 +16,7 @@ from simbias.pictures.elements.style import HARDWARE, LIMIT, SIMULATION, literal
 from simbias.sweep.batches import Outcomes
 from simbias.sweep.figure import UNTESTED, FigureError, Picture, SweepFigure, SweptTrials
 from simbias.sweep.grid import LASTS
-from simbias.sweep.tables import RELIABLE, numbers_of_episodes, success_rate, untested
+from simbias.sweep.tables import RELIABLE, failures, numbers_of_episodes, success_rate, untested
 
 ROW, REST, WIDTH = 0.3, 1.1, 7.2  # in: per cell; the rest; width
 LETTERS, LINE = 44, 0.17  # per line of a cell's label; in, its height
@@ -60,18 +60,19 @@ class LastPolicies(SweepFigure):
         success = trials.sweep.success
         lasting = "test episodes that last\nfor the horizon"
         words = lasting if success == LASTS else "success rate of the last policy"
-        figure = _figure(numbers, [" ".join(labels) for labels in cells], words)
-        caption = _caption(numbers, episodes, success) + untested(row["test_episodes"] for row in trials.rows)
+        figure = _figure(numbers, [*map(trials.sweep.words, cells)], words)
+        caption = _caption(numbers, episodes, success, failures(trials.table))
+        caption += untested(row["test_episodes"] for row in trials.rows)
         return Picture(figure, numbers, caption)
 
 
-def _caption(numbers: pd.DataFrame, episodes: str, success: str) -> str:
+def _caption(numbers: pd.DataFrame, episodes: str, success: str, failing: str) -> str:
     """The caption, from the numbers."""
     enough = numbers["success_rate"] >= RELIABLE
     solved = enough.groupby(level=0).mean() >= RELIABLE
     return (
         "Dots: trials, filled where they succeeded; bars: means. Left: hardware experiments until success, "
-        "without it all that a trial may make. Right: the share of "
+        f"without it all that a trial may make{failing}. Right: the share of "
         f"{episodes} test episodes in which its last policy {success}. {enough.sum()} of {len(numbers)} "
         f"trials end with a policy that does in at least {RELIABLE:.0%} of them (dashed); nine in ten "
         f"trials do in {solved.sum()} of {len(solved)} cells."
