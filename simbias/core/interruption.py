@@ -9,8 +9,9 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
+from typing import Any
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")  # the last when a terminal or connection closes; not on Windows
 AGAIN = 0.01  # seconds: by then, code that ignores exceptions has returned
 COMPILER = "llvmlite"  # LLVM calls some of its functions, and ignores what they raise
 
@@ -47,25 +48,28 @@ def deferred(begun: Callable[[], bool] = lambda: True) -> Iterator[None]:
 
 
 class Interruption:
-    """Turns SIGINT and SIGTERM into KeyboardInterrupt, deferred where it would tear something apart.
+    """Turns signals that end a process into KeyboardInterrupt, deferred where it would tear something apart.
 
-    Without a handler, SIGTERM ends a process without running `finally`, and leaves workers behind. Python
-    ignores exceptions raised in finalizers and in functions called from C; the interruption is then repeated.
-    A library may turn it into another error, such as a failed import; it still counts as an interruption.
+    Without a handler, they end a process without running `finally`, which may leave a robot in motion, and
+    leave workers behind. A SIGHUP that is ignored, as after `nohup`, stays so. Python ignores exceptions
+    raised in finalizers and in functions called from C; the interruption is then repeated. A library may turn
+    it into another error, such as a failed import; it still counts as an interruption.
     """
 
     def __init__(self) -> None:
         self._came = False
-        self._before: list = []
+        self._before: dict[signal.Signals, Any] = {}  # handlers
 
     def __enter__(self) -> Interruption:
         if threading.current_thread() is threading.main_thread():  # no other receives signals
-            self._before = [signal.signal(number, self._handle) for number in SIGNALS]
+            numbers = [signal.Signals[name] for name in SIGNALS if hasattr(signal, name)]
+            ignored = (n for n in numbers if n.name == "SIGHUP" and signal.getsignal(n) == signal.SIG_IGN)
+            self._before = {n: signal.signal(n, self._handle) for n in {*numbers} - {*ignored}}
             self._report, sys.unraisablehook = sys.unraisablehook, self._ignored
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        for number, handler in zip(SIGNALS, self._before, strict=False):
+        for number, handler in self._before.items():
             signal.signal(number, handler)
         if self._before:
             sys.unraisablehook = self._report

@@ -54,7 +54,7 @@ class Runs:
 
     def _connect(self) -> MlflowClient:
         """Reach the store, or raise a ConfigError."""
-        self._client, self.experiment_id = store.connect(self.uri, self._experiment)
+        self._client, self._experiment_id = store.connect(self.uri, self._experiment)
         self._file = store.database(self.uri)
         self._number = store.file_number(self._file)
         return self._client
@@ -75,6 +75,13 @@ class Runs:
                 "tracking.uri", f"{redact(self.uri, self.uri)}: the store was moved or replaced"
             )
         return self._client
+
+    @property
+    def experiment_id(self) -> str:
+        """The experiment's id; errors as for `client`."""
+        if self._client is None:
+            self._connect()
+        return self._experiment_id
 
     def address(self, identity: str, run_id: str) -> str:
         """How to view the run of a hash: a command, or a page on a server."""

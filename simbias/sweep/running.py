@@ -112,7 +112,7 @@ def run_sweep(
     ConfigError
         If the store cannot be used, or another process runs this sweep.
     KeyboardInterrupt
-        On SIGINT or SIGTERM, between two trials; finished ones are kept.
+        On a signal (`Interruption`), between two trials; finished ones are kept.
     UndrawnError
         If a figure cannot be drawn; the error has what would have been returned.
     """

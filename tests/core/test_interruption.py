@@ -81,3 +81,18 @@ def test_what_is_deferred_within_another_ends_neither() -> None:
     with pytest.raises(KeyboardInterrupt):
         interrupted_while_deferred(reached)
     assert reached == ["inner", "outer"]
+
+
+def test_a_terminal_that_closes_interrupts_but_not_what_ignores_it() -> None:
+    """As a program after nohup does."""
+    before = signal.getsignal(signal.SIGHUP)
+    try:
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
+        with pytest.raises(KeyboardInterrupt), Interruption():
+            signal.raise_signal(signal.SIGHUP)
+        assert signal.getsignal(signal.SIGHUP) == signal.SIG_DFL
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        with Interruption():
+            signal.raise_signal(signal.SIGHUP)
+    finally:
+        signal.signal(signal.SIGHUP, before)

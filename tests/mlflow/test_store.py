@@ -157,6 +157,11 @@ def test_a_server_that_says_nothing_is_given_up(monkeypatch: pytest.MonkeyPatch)
         assert time.perf_counter() - start < 10
 
 
+def test_the_ui_reaches_a_server_before_it_names_a_page() -> None:
+    with one_line(r"^tracking\.uri: http://127\.0\.0\.1:9: .*refused"):
+        Mlflow(uri="http://127.0.0.1:9").show(None, None)
+
+
 def test_no_password_is_shown() -> None:
     for text, expected in {
         "http://me:secret@host:5000/path": "http://host:5000/path",
