@@ -110,7 +110,7 @@ def _sweep_parts(folder: SweepFolder, description: dict) -> Iterator[str]:
     ended = counts.total() - counts["error"]
     yield html.paragraph(
         f"{ended} of {len(summaries)} trials have ended; of these, "
-        f"{counted_share(counts['succeeded'], ended)} succeeded.{left_out(counts.elements())}"
+        f"{counts['succeeded']} succeeded.{left_out(counts.elements())}"
     )
     if folder.changed():
         yield html.paragraph(CHANGED)
