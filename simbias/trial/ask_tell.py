@@ -13,8 +13,8 @@ from simbias.core.records import Array, Iteration, Optimum, Rollout
 from simbias.lab.checked_hardware import MakeExperiment
 from simbias.lab.checks import check_rollout
 from simbias.lab.rates import check_rates, rates_of
+from simbias.lab.requests.measurements import tell_other_commands
 from simbias.lab.requests.request import ExperimentRequest, refuse_copy
-from simbias.lab.requests.trajectory import tell_other_commands
 from simbias.lab.safety import without_limits
 from simbias.lab.targets import WithTargets, beside
 from simbias.trial.replay import EndOfRecord, Record

@@ -12,14 +12,8 @@ from point_mass import PointMass
 
 from simbias.core import HardwareError, Quantity
 from simbias.core.records import Array, Rollout
-from simbias.lab.requests.trajectory import (
-    Measurements,
-    frame,
-    header,
-    read,
-    tell_other_commands,
-    template,
-)
+from simbias.lab.requests.measurements import Measurements, frame, tell_other_commands
+from simbias.lab.requests.trajectory import header, read, template
 from simbias.lab.safety import Safety
 
 TASK = PointMass(horizon=20)

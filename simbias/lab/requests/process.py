@@ -15,9 +15,9 @@ from simbias.core import Hardware, HardwareError, Policy, Task, Waiting
 from simbias.core.messages import brief, counted, quote, words
 from simbias.core.ranges import Seconds
 from simbias.core.records import Array, Rollout
+from simbias.lab.requests.measurements import Measurements, frame
 from simbias.lab.requests.program import END_SECONDS, MOST_OUTPUT, Program, alone, note
 from simbias.lab.requests.request import ExperimentRequest
-from simbias.lab.requests.trajectory import Measurements, frame
 
 SAID = 200  # characters of a program's standard error in an error
 FIELDS = ("states", "inputs", "times", "failure")
