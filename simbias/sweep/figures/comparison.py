@@ -14,24 +14,14 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import PercentFormatter
 from matplotlib.transforms import ScaledTranslation
 
-from simbias.core.proportions import wilson
 from simbias.core.records import Array
 from simbias.pictures.elements.style import SIMULATION, SMALL, literal, plain, series_style
 from simbias.sweep.axes import Axis, in_words
 from simbias.sweep.batches import Outcomes
 from simbias.sweep.figure import UNTESTED, FigureError, Picture, SweepFigure, SweptTrials
 from simbias.sweep.grid import Sweep
-from simbias.sweep.statistics import (
-    bootstrap,
-    episodes_needed,
-    holm,
-    interquartile_mean,
-    passed,
-    performance_profile,
-    probability_of_improvement,
-    sign_test,
-    verdicts,
-)
+from simbias.sweep.scores import HOLDS, SCORE, Method, against, scored
+from simbias.sweep.statistics import episodes_needed, performance_profile
 from simbias.sweep.tables import untested
 
 WIDTH, ROW, CURVES, REST = 7.2, 0.19, 2.9, 2.0  # in: width; heights of a method's row, the curves, the rest
@@ -41,7 +31,6 @@ MOST = 8  # curves in a panel
 BELOW, LOWEST = 1.6 / 72, 3  # in, offset of a curve below an identical one; the most offsets
 SLANTED: dict[str, Any] = {"rotation": 55, "ha": "right", "va": "top", "rotation_mode": "anchor"}
 THRESHOLDS = np.linspace(0, 1, 101)
-SCORE, HOLDS = " score", " holds"  # columns beside those of the table and its axes
 
 
 class Comparison(SweepFigure):
@@ -93,15 +82,15 @@ class Comparison(SweepFigure):
             raise FigureError(f"no such axis or point: {self._axis}, {', '.join(named)}")
         if not any(row["test_episodes"] for row in trials.rows):
             raise FigureError(UNTESTED)
-        table = _scored(trials.table, trials.sweep.report.bar)
+        table = scored(trials.table, trials.sweep.report.bar)
         apart = [axis for axis in trials.sweep.axes if axis.name != self._axis]
         others = [axis.name for axis in apart]
         groups = table.groupby(self._axis, sort=False)
-        own = {str(name): _Method(each, others) for name, each in groups if each[SCORE].notna().any()}
+        own = {str(name): Method(each, others) for name, each in groups if each[SCORE].notna().any()}
         numbers = pd.DataFrame([method.row(name) for name, method in own.items()])
         for name in self._references:
             if name in own:
-                numbers = numbers.join(_against(own, own[name]).add_suffix(f" {name}"), on="method")
+                numbers = numbers.join(against(own, own[name]).add_suffix(f" {name}"), on="method")
         curves = {name: own[name] for name in (self._curves or [*own][:MOST]) if name in own}
         figure = _figure(own, numbers, curves, apart)
         caption = _caption(numbers, trials.sweep)
@@ -110,86 +99,6 @@ class Comparison(SweepFigure):
         if gone := [str(name) for name in groups.groups if name not in own]:
             caption += f" All trials of {', '.join(gone)} are left out."
         return Picture(figure, numbers, caption + untested(row["test_episodes"] for row in trials.rows))
-
-
-def _scored(table: pd.DataFrame, bar: float) -> pd.DataFrame:
-    """The trials with their scores and whether their last policies hold; nan for those that do not count."""
-    tests = [*map(passed, table["test_episodes"], table["lasting_episodes"])]
-    scores = np.array([text.count("1") / len(text) if text else np.nan for text in tests])
-    score = np.where(table["outcome"] == "error", np.nan, scores)
-    policy = table["policy"].where(table["policy"] != "", table["hash"])  # may be unpublished
-    scored = table.assign(policy=policy)
-    scored[SCORE], scored[HOLDS] = score, verdicts(tests, bar)
-    return scored
-
-
-class _Method:
-    """The trials of a method, with scores and the share that holds, by cell (labels of the other axes)."""
-
-    def __init__(self, trials: pd.DataFrame, others: list[str]) -> None:
-        self.trials = trials[trials[SCORE].notna()].set_index([*others, "repetition"])
-        self.raised = int((trials["outcome"] == "error").sum())
-        grouped: Any = trials.groupby(others, sort=False) if others else [((), trials)]
-        cells = {name: own.set_index("repetition") for name, own in grouped}
-        self.scores = {name: own[SCORE] for name, own in cells.items()}
-        self.holding = {name: float(own[HOLDS].mean()) for name, own in cells.items()}
-        self.tried = [name for name, scores in self.scores.items() if scores.notna().any()]
-
-    def matrix(self, cells: Sequence[Any]) -> Array:
-        """Scores (r, c) in these cells; nan for missing trials."""
-        return pd.DataFrame([self.scores[cell] for cell in cells]).to_numpy().T
-
-    def row(self, name: str) -> dict[str, Any]:
-        """The method's numbers."""
-        held, judged = int(self.trials[HOLDS].sum()), int(self.trials[HOLDS].count())
-        scores, units = self.matrix(self.tried), int(np.isfinite([*self.holding.values()]).sum())
-        if units == 1:
-            units = self.trials.loc[self.trials[HOLDS].notna(), "policy"].nunique()
-        different = self.trials.drop_duplicates("policy")
-        low, high = bootstrap(
-            interquartile_mean, different[[SCORE]].to_numpy().T if len(self.tried) == 1 else scores
-        )
-        least, most = wilson(units * held / max(judged, 1), units)
-        return {
-            "method": name,
-            "trials": len(self.trials),
-            "raised": self.raised,
-            "judged": judged,
-            "holds": held,
-            "holds_low": least,
-            "holds_high": most,
-            "share": interquartile_mean(scores),
-            "share_low": low,
-            "share_high": high,
-            "mean_share": float(np.nanmean(scores)),
-            "experiments": float(self.trials["experiments"].mean()),
-        }
-
-
-def _against(methods: dict[str, _Method], reference: _Method) -> pd.DataFrame:
-    """Probability of improvement over a reference, its interval, and Holm's p of sign tests."""
-    rows, p = {}, {}
-    for name, method in methods.items():
-        cells = [cell for cell in method.tried if cell in reference.tried]
-        if method is reference or not cells:
-            continue
-        both = method.matrix(cells), reference.matrix(cells)
-        low, high = bootstrap(probability_of_improvement, *both)
-        rows[name] = {"better": probability_of_improvement(*both), "better_low": low, "better_high": high}
-        differences = [method.holding[cell] - reference.holding[cell] for cell in cells]
-        if len(cells) == 1:
-            differences = _of_pairs(method, reference)
-        if np.isfinite(differences).sum() > 1:
-            p[name] = sign_test(differences)
-    table = pd.DataFrame.from_dict(rows, orient="index")
-    return table.assign(p=pd.Series(holm(p), dtype=float))
-
-
-def _of_pairs(method: _Method, reference: _Method) -> list[float]:
-    """Differences in whether trials hold, over a cell's pairs; pairs with the same policies count once."""
-    both = method.trials.join(reference.trials.add_suffix(" of reference"), how="inner")
-    different = both[~both.duplicated(["policy", "policy of reference"])]
-    return (different[HOLDS] - different[f"{HOLDS} of reference"]).tolist()
 
 
 def _caption(numbers: pd.DataFrame, sweep: Sweep) -> str:
@@ -224,7 +133,7 @@ def _held(row: dict[Any, Any]) -> str:
 
 
 def _figure(
-    methods: dict[str, _Method], numbers: pd.DataFrame, curves: dict[str, _Method], apart: Sequence[Axis]
+    methods: dict[str, Method], numbers: pd.DataFrame, curves: dict[str, Method], apart: Sequence[Axis]
 ) -> Figure:
     """The figure of two rows; a cell is a point of the axes apart from the methods'."""
     above = ROW * sum(1 + _label(*each).count("\n") for each in methods.items()) + REST
@@ -238,12 +147,12 @@ def _figure(
     return figure
 
 
-def _label(name: str, method: _Method) -> str:
+def _label(name: str, method: Method) -> str:
     """A method's name and its number of trials with errors, in lines."""
     return fill(literal(name) + f", {method.raised} raised" * bool(method.raised), LETTERS)
 
 
-def _draw_cells(axes: Axes, methods: dict[str, _Method], apart: Sequence[Axis]) -> None:
+def _draw_cells(axes: Axes, methods: dict[str, Method], apart: Sequence[Axis]) -> None:
     """A row for each method, a column for each cell."""
     means = [{cell: own.mean() for cell, own in method.scores.items()} for method in methods.values()]
     names = [*dict.fromkeys(cell for own in means for cell in own)]
@@ -273,7 +182,7 @@ def _draw_means(axes: Axes, numbers: pd.DataFrame) -> None:
     plain(axes, "both")
 
 
-def _draw_curves(figure: SubFigure, methods: dict[str, _Method]) -> None:
+def _draw_curves(figure: SubFigure, methods: dict[str, Method]) -> None:
     """Performance profiles, and the share of trials that hold against experiments."""
     left, right = figure.subplots(1, 2)
     most = max(float(method.trials["experiments"].max()) for method in methods.values())
