@@ -69,7 +69,7 @@ class Reader:
         HardwareError
             If it cannot be read or makes no sense; the message names the file in one line.
         """
-        file = signals(path, whole_lines)
+        file = signals(path, [split_name(column)[0] for column in self._columns.values()], whole_lines)
         notes: list[str] = []
         found = self._signals(file, notes)
         bounds = self._pieces(path, found, notes)

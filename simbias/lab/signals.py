@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -17,6 +17,7 @@ from simbias.core.extras import library
 from simbias.core.messages import words
 from simbias.core.records import Array
 from simbias.core.table import read_table
+from simbias.lab.clocks import UNEQUAL, cut_at, cuts, delays, without_resets
 
 NAME = re.compile(r"(?P<base>.*?)\s*[\[(](?P<unit>[^\])]+)[\])]$")  # q1 [deg], q1 (deg)
 FIELD = re.compile(
@@ -25,8 +26,6 @@ FIELD = re.compile(
 BAGS = (".mcap", ".db3", ".bag")
 NO_SAMPLE = ("", "nan", "na")  # cells without a sample
 NANOSECOND = 1e-9
-UNEQUAL = 0.02  # s, difference between topics in time from header to arrival: they may be misaligned
-RESET = 1e4  # usual sampling intervals: the gap left by a reset of the clock
 
 
 class Signal(NamedTuple):
@@ -111,7 +110,7 @@ class Columns(Signals):
         return Signal(instants[kept], table.numbers([column])[:, 0])
 
     def _instants(self, clock: int) -> Array:
-        """Non-decreasing times (r,): a decrease in the file is a reset of its clock, and becomes a gap."""
+        """Non-decreasing times (r,), without resets of the file's clock."""
         if clock in self._clocks:
             return self._clocks[clock]
         times = self._table.numbers([clock])[:, 0]
@@ -120,9 +119,7 @@ class Columns(Signals):
             before, after = times[back[0] : back[0] + 2]
             problem = f"expected times that increase, got {after:.9g} after {before:.9g}"
             raise self._table.error(int(back[0]) + 1, clock, problem)
-        usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
-        resets = np.where(steps < 0, RESET * usual - steps, 0.0)
-        self._clocks[clock] = times + np.concatenate([[0.0], np.cumsum(resets)])
+        self._clocks[clock] = without_resets(times)
         return self._clocks[clock]
 
 
@@ -132,28 +129,48 @@ class Messages(Signals):
     Times in s are those of the messages' headers or, without headers, of their arrival.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, names: Collection[str]) -> None:
         super().__init__(path)
-        self._topics: dict[str, tuple[Array, list[Any]]] = {}
-        self._late: dict[str, list[float]] = {}  # by topic: times from messages' headers to arrival, in s
-        self._used: dict[str, float | None] = {}  # by topic read: the median of these times, if any
+        wanted = {match["topic"] for name in names if (match := FIELD.match(name))}
+        read: dict[str, list[tuple[float, float, Any]]] = {}  # by topic: arrival, time, message
+        headed = set[str]()  # topics whose messages have times in their headers
         highlevel = library("rosbags.highlevel", "rosbags", "bags")
         typesys = library("rosbags.typesys", "rosbags", "bags")
         store = typesys.get_typestore(typesys.Stores.LATEST)
         try:
             with highlevel.AnyReader([path], default_typestore=store) as reader:
-                read: dict[str, list[tuple[float, Any]]] = {}
-                for connection, arrival, raw in reader.messages():
+                self._known = sorted({each.topic for each in reader.connections if each.msgcount})
+                chosen = [each for each in reader.connections if each.topic in wanted]
+                for connection, arrival, raw in reader.messages(chosen) if chosen else ():
                     message, arrived = reader.deserialize(raw, connection.msgtype), arrival * NANOSECOND
-                    if (stamp := _stamp(message)) is not None:
-                        self._late.setdefault(connection.topic, []).append(arrived - stamp)
-                    time = arrived if stamp is None else stamp
-                    read.setdefault(connection.topic, []).append((time, message))
+                    if (time := _stamp(message)) is None:
+                        time = arrived
+                    else:
+                        headed.add(connection.topic)
+                    read.setdefault(connection.topic, []).append((arrived, time, message))
         except Exception as error:  # the reader raises many types
             raise HardwareError(f"{path}: cannot be read ({words(error)})") from error
-        for topic, pairs in read.items():
-            pairs.sort(key=lambda pair: pair[0])
-            self._topics[topic] = np.array([time for time, _ in pairs]), [message for _, message in pairs]
+        self._topics = self._sorted(read, headed)
+
+    def _sorted(
+        self, read: Mapping[str, list[tuple[float, float, Any]]], headed: Collection[str]
+    ) -> dict[str, tuple[Array, list[Any]]]:
+        """Times and messages of each topic, in order of time; all are cut where a clock was set."""
+        arrivals = {topic: np.array([arrived for arrived, _, _ in rows]) for topic, rows in read.items()}
+        times = {topic: np.array([time for _, time, _ in rows]) for topic, rows in read.items()}
+        bounds = cuts(arrivals, times)
+        self.notes = _misaligned(delays(bounds, arrivals, times), headed)
+        if len(bounds):
+            times = cut_at(bounds, arrivals, times)
+            begin = min(each[0] for each in arrivals.values())
+            after = ", ".join(f"{at - begin:.6g} s" for at in bounds[:, 0])
+            told = f"clock reset or step {after} after the first message: all topics are cut there"
+            self.notes = (*self.notes, told)
+        found = {}
+        for topic, instants in times.items():
+            order = [i for i in np.argsort(instants, kind="stable") if not np.isnan(instants[i])]
+            found[topic] = instants[order], [read[topic][i][-1] for i in order]
+        return found
 
     def unit(self, name: str) -> str:
         """The unit of time; a field has none."""
@@ -171,11 +188,8 @@ class Messages(Signals):
             wanted = "/topic.field, such as /joint_states.position[0]"
             raise HardwareError(f"{self.path}: {name}: must be {wanted}")
         if match["topic"] not in self._topics:
-            raise self.missing([match["topic"]], list(self._topics))
-        times, messages = self._topics[topic := match["topic"]]
-        late = self._late.get(topic)
-        self._used[topic] = None if late is None else float(np.median(late))
-        self.notes = _misaligned(self._used)
+            raise self.missing([match["topic"]], self._known)
+        times, messages = self._topics[match["topic"]]
         try:
             values = np.array([_field(message, match) for message in messages], dtype=np.float64)
         except (AttributeError, ValueError, IndexError, TypeError) as error:
@@ -185,8 +199,10 @@ class Messages(Signals):
         return Signal(times, values)
 
 
-def signals(path: Path, whole_lines: bool = False) -> Signals:
+def signals(path: Path, names: Collection[str], whole_lines: bool = False) -> Signals:
     """The signals of a file, optionally only of its `whole_lines`, or of a folder that is a ROS 2 bag.
+
+    Of a bag, only the topics in `names` are read.
 
     Raises
     ------
@@ -195,18 +211,18 @@ def signals(path: Path, whole_lines: bool = False) -> Signals:
     """
     if path.is_dir() or path.suffix in BAGS:
         try:
-            return Messages(path)
+            return Messages(path, names)
         except ValueError as error:  # the reader is not installed
             raise HardwareError(f"{path}: {words(error)}") from error
     return Columns(path, whole_lines)
 
 
-def _misaligned(late: Mapping[str, float | None]) -> tuple[str, ...]:
+def _misaligned(late: Mapping[str, float], headed: Collection[str]) -> tuple[str, ...]:
     """A note if topics differ in the time from header to arrival, in s, or some have no headers."""
-    if np.ptp([each or 0.0 for each in late.values()]) <= UNEQUAL:
+    if not late or np.ptp(list(late.values())) <= UNEQUAL:
         return ()
     told = [
-        f"{topic} none" if each is None else f"{topic} {0.0 - round(each, 3):g} s"
+        f"{topic} {0.0 - round(each, 3):g} s" if topic in headed else f"{topic} none"
         for topic, each in late.items()
     ]
     return (f"header times minus arrival times: {', '.join(told)}; topics may be misaligned",)

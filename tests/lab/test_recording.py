@@ -393,10 +393,17 @@ def test_a_column_is_of_one_quantity_and_one_column(
         Recorded(study.task, str(tmp_path), columns={"pos1": "q [deg]", "pos2": "q"})
 
 
-def bag(rollout: Rollout, folder: Path, plugin: str, ahead: float | None = 0.0, late: int = 500_000) -> Path:
+def bag(
+    rollout: Rollout,
+    folder: Path,
+    plugin: str,
+    ahead: float | None = 0.0,
+    late: int = 500_000,
+    step: float = 0.0,
+) -> Path:
     """Joint states and efforts as ROS 2 has them, efforts on a topic of their own at half the rate.
 
-    The clock of these is some seconds ahead, or they have no time.
+    The clock of these is some seconds ahead, or they have no time. Halfway, all clocks are set by a step.
     """
     rosbag2, typesys = (pytest.importorskip(f"rosbags.{name}") for name in ("rosbag2", "typesys"))
     store = typesys.get_typestore(typesys.Stores.LATEST)
@@ -409,14 +416,15 @@ def bag(rollout: Rollout, folder: Path, plugin: str, ahead: float | None = 0.0, 
             for name in ("joint_states", "efforts")
         )
         for t, (x, u) in enumerate(zip(rollout.states, rollout.inputs, strict=False)):
-            at = 1_000_000_000 + 2_000_000 * t
+            arrival = 1_000_000_000 + 2_000_000 * t + late
+            at = arrival - late + round(step * 10**9) * (2 * t >= rollout.frames)
             head = header(stamp=stamp(sec=at // 10**9, nanosec=at % 10**9), frame_id="")
             joints = state(head, names, x[[1, 0]].copy(), x[[3, 2]].copy(), none)
             of_effort = 0 if ahead is None else at + round(ahead * 10**9)
             other = header(stamp=stamp(sec=of_effort // 10**9, nanosec=of_effort % 10**9), frame_id="")
             sent = [(joint_states, joints), (efforts, state(other, names, none, none, u))]
             for topic, message in sent[: 2 - t % 2]:
-                writer.write(topic, at + late, store.serialize_cdr(message, state.__msgtype__))
+                writer.write(topic, arrival, store.serialize_cdr(message, state.__msgtype__))
     return folder
 
 
@@ -459,6 +467,24 @@ def test_topics_of_two_clocks_are_told(study: Study, rollout: Rollout, tmp_path:
         assert said in Reader(study.task, TOPICS).read(path).notes
     arrived = bag(rollout, tmp_path / "arrived", "MCAP", None)
     assert Reader(study.task, TOPICS).read(arrived).notes == ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("step", "ahead"), [(-0.1003, 0.0), (-0.9, 0.0), (-0.1003, None), (0.3, None)])
+def test_a_clock_that_is_set_cuts_all_topics(
+    study: Study, rollout: Rollout, tmp_path: Path, step: float, ahead: float | None
+) -> None:
+    """At the same arrival; a topic without headers stays aligned. As in a file of columns."""
+    rollout = rollout.part(0, 400)
+    found = Reader(study.task, TOPICS).read(bag(rollout, tmp_path / "set", "MCAP", ahead, 0, step))
+    assert "clock reset or step 0.4 s after the first message: all topics are cut there" in found.notes
+    assert "gaps, resets or jumps leave 2 pieces: 0.40 s, 0.40 s" in found.notes
+    for piece, begin in zip(found.pieces, (0, 200), strict=True):
+        assert piece.frames >= 198
+        frames = slice(begin, begin + piece.frames)
+        np.testing.assert_allclose(piece.states[:-1], rollout.states[frames], atol=5e-3)
+        held = rollout.inputs[np.arange(begin, begin + piece.frames) // 2 * 2]
+        np.testing.assert_allclose(piece.inputs, held, atol=5e-3)
 
 
 def test_a_bag_that_is_none_is_one_line(study: Study, tmp_path: Path) -> None:
