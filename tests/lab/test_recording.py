@@ -163,6 +163,9 @@ def test_gaps_and_resets_cut_it(
     found = read(table)
     assert [piece.frames for piece in found.pieces] == [399, 599]
     np.testing.assert_allclose(found.pieces[1].states, rollout.states[400:-1], atol=1e-9)
+    bursts = [table[["time", *NAMES[i : i + 2]]].assign(time=table["time"] + 1e-7 * i) for i in (1, 3, 5)]
+    apart = pd.concat(bursts).sort_index(kind="stable").drop(columns=["vel1", "vel2"])
+    assert [piece.frames for piece in read(apart).pieces] == [398, 598]
     with pytest.raises(HardwareError, match=r"one\.csv: it has a gap, a reset"):
         Recorded(study.task, str(tmp_path)).rollout("one.csv")
 
