@@ -72,7 +72,7 @@ class Reader:
         file = signals(path, [split_name(column)[0] for column in self._columns.values()], whole_lines)
         notes: list[str] = []
         found = self._signals(file, notes)
-        bounds = self._pieces(path, found, notes)
+        bounds = self._pieces(file, found, notes)
         pieces, times = zip(*(self._piece(found, begin, end) for begin, end in bounds), strict=True)
         measured_rates = {i: position for i, position in self._rates.items() if i in found}
         check_rates(str(path), pieces, self._task, measured_rates)
@@ -115,25 +115,26 @@ class Reader:
                     f"{file.path}: column {name}: expected two samples at least, got {len(times)}"
                 )
             same = max(same, (len(signal.times) - len(times), len(signal.times)))
-            values = signal.values[first] * scale
+            found[i] = Signal(times, signal.values[first] * scale, signal.places[first])
             if i < len(self._task.states) and quantity.unit in TURNS:
-                values = self._unwound(f"{file.path}: column {name}", quantity, Signal(times, values), notes)
-            found[i] = Signal(times, values)
+                found[i] = found[i]._replace(values=self._unwound(file, name, quantity, found[i], notes))
         if same[0] > SAME * same[1]:
             told = f"{same[0]} of {same[1]} samples have the same time as the previous one"
             notes.append(f"{told}; only the first of each time counts")
         self._check_period(file, found, bool(time_unit or file.unit(time)))
         return found
 
-    def _unwound(self, column: str, angle: Quantity, signal: Signal, notes: list[str]) -> Array:
+    def _unwound(
+        self, file: Signals, column: str, angle: Quantity, signal: Signal, notes: list[str]
+    ) -> Array:
         """The angle's values (k,) without jumps by a turn between gaps; larger jumps are refused."""
-        turn, times, values = TURNS[angle.unit], signal.times, signal.values
+        turn, values = TURNS[angle.unit], signal.values
         steps, begins = np.diff(values), self._begins(signal)
         steps[begins - 1] = 0.0
         if len(jumps := np.flatnonzero(np.abs(steps) > MOST_TURNS * turn)):
-            first, then = times[jumps[0] : jumps[0] + 2]
-            jump = f"{steps[jumps[0]]:.3g} {angle.unit} from {first:.6g} s to {then:.6g} s"
-            raise HardwareError(f"{column} jumps by {jump}, more than a turn")
+            first, then = map(file.place, signal.places[jumps[0] : jumps[0] + 2])
+            jump = f"{steps[jumps[0]]:.3g} {angle.unit} from {first} to {then}"
+            raise HardwareError(f"{file.path}: column {column} jumps by {jump}, more than a turn")
         runs = np.split(values, begins)
         unwound = np.concatenate([np.unwrap(run, period=turn) for run in runs])
         if not np.array_equal(unwound, values):
@@ -145,10 +146,12 @@ class Reader:
         column = self._columns[quantity]
         return (column, "") if file.has(column) else split_name(column)
 
-    def _pieces(self, path: Path, found: Mapping[int, Signal], notes: list[str]) -> list[tuple[float, float]]:
+    def _pieces(
+        self, file: Signals, found: Mapping[int, Signal], notes: list[str]
+    ) -> list[tuple[float, float]]:
         """Start and end times of pieces, in which every signal continues without gap, reset or jump."""
         pieces, frame, longest = [(-np.inf, np.inf)], self._task.time_step, np.inf
-        runs_of, jumps_of = dict[int, list[tuple[float, float]]](), self._jumps(found, notes)
+        runs_of, jumps_of = dict[int, list[tuple[float, float]]](), self._jumps(file, found, notes)
         for i, signal in found.items():
             begins = self._begins(signal)
             if i in jumps_of:
@@ -161,7 +164,7 @@ class Reader:
             problem = f"expected at least one frame of {frame:g} s, got {longest:.3g} s"
             if longest >= frame:
                 problem = "its columns have no frame in common"
-            raise HardwareError(f"{path}: {problem}")
+            raise HardwareError(f"{file.path}: {problem}")
         if len(pieces) > 1:
             seconds = ", ".join(f"{b - a:.2f} s" for a, b in pieces[:MOST_TOLD])
             seconds += ", ..." * (len(pieces) > MOST_TOLD)
@@ -206,20 +209,20 @@ class Reader:
                 f"is the time in another unit?{'' if has_unit else ' Name the unit, as in `time [ms]`'}"
             )
 
-    def _jumps(self, found: Mapping[int, Signal], notes: list[str]) -> dict[int, Indices]:
+    def _jumps(self, file: Signals, found: Mapping[int, Signal], notes: list[str]) -> dict[int, Indices]:
         """Samples of states that their rates do not explain, between gaps; all are reported."""
         each = dict[int, Indices]()
         for rate, i in self._rates.items():
             if rate in found:
-                times, values = found[i]
-                told = np.interp(times, *found[rate])
+                times, values, _ = found[i]
+                told = np.interp(times, found[rate].times, found[rate].values)
                 each[i] = np.setdiff1d(jumps(times, values, told), self._begins(found[i]))
-        at = sorted({float(found[i].times[j]) for i, samples in each.items() for j in samples})
+        at = sorted({float(found[i].places[j]) for i, samples in each.items() for j in samples})
         if at:
             names = ", ".join(self._quantities[i].name for i, samples in each.items() if len(samples))
-            when = ", ".join(f"{time:.6g} s" for time in at[:MOST_TOLD])
-            when += f" and {len(at) - MOST_TOLD} other times" * (len(at) > MOST_TOLD)
-            notes.append(f"{names}: a jump at {when}, more than velocities imply: are rows lost or doubled?")
+            where = ", ".join(map(file.place, at[:MOST_TOLD]))
+            where += f" and {len(at) - MOST_TOLD} other places" * (len(at) > MOST_TOLD)
+            notes.append(f"{names}: a jump at {where}, more than velocities imply: are rows lost or doubled?")
         return each
 
     def _begins(self, signal: Signal) -> Indices:

@@ -33,6 +33,7 @@ class Signal(NamedTuple):
 
     times: Array  # (k,) s, or in the unit of the file's time
     values: Array  # (k,)
+    places: Array  # (k,) rows in the file, or s since its first message
 
 
 class Signals(ABC):
@@ -52,6 +53,10 @@ class Signals(ABC):
         HardwareError
             If there is no signal of that name; the message suggests the nearest.
         """
+
+    @abstractmethod
+    def place(self, number: float) -> str:
+        """The name of a sample's place in the file, for messages."""
 
     @abstractmethod
     def has(self, name: str) -> bool:
@@ -84,6 +89,10 @@ class Columns(Signals):
             for key in {name, base} if base not in names else {name}:
                 self._known.setdefault(key, []).append((index, unit))
 
+    def place(self, number: float) -> str:
+        """The name of a row."""
+        return f"row {number:.0f}"
+
     def has(self, name: str) -> bool:
         """Whether the file has a column of that name, possibly followed by a unit."""
         return name in self._known
@@ -107,7 +116,7 @@ class Columns(Signals):
             table = replace(
                 table, rows=tuple(table.rows[i] for i in kept), cells=[table.cells[i] for i in kept]
             )
-        return Signal(instants[kept], table.numbers([column])[:, 0])
+        return Signal(instants[kept], table.numbers([column])[:, 0], np.array(table.rows))
 
     def _instants(self, clock: int) -> Array:
         """Non-decreasing times (r,), without resets of the file's clock."""
@@ -154,27 +163,32 @@ class Messages(Signals):
 
     def _sorted(
         self, read: Mapping[str, list[tuple[float, float, Any]]], headed: Collection[str]
-    ) -> dict[str, tuple[Array, list[Any]]]:
-        """Times and messages of each topic, in order of time; all are cut where a clock was set."""
+    ) -> dict[str, tuple[Array, Array, list[Any]]]:
+        """Times, places and messages of each topic, in order of time; all are cut where a clock was set."""
         arrivals = {topic: np.array([arrived for arrived, _, _ in rows]) for topic, rows in read.items()}
         times = {topic: np.array([time for _, time, _ in rows]) for topic, rows in read.items()}
+        begin = min((each[0] for each in arrivals.values()), default=0.0)
         bounds = cuts(arrivals, times)
         self.notes = _misaligned(delays(bounds, arrivals, times), headed)
         if len(bounds):
             times = cut_at(bounds, arrivals, times)
-            begin = min(each[0] for each in arrivals.values())
-            after = ", ".join(f"{at - begin:.6g} s" for at in bounds[:, 0])
+            after = ", ".join(self.place(at - begin) for at in bounds[:, 0])
             told = f"clock reset or step {after} after the first message: all topics are cut there"
             self.notes = (*self.notes, told)
         found = {}
         for topic, instants in times.items():
             order = [i for i in np.argsort(instants, kind="stable") if not np.isnan(instants[i])]
-            found[topic] = instants[order], [read[topic][i][-1] for i in order]
+            messages = [read[topic][i][-1] for i in order]
+            found[topic] = instants[order], arrivals[topic][order] - begin, messages
         return found
 
     def unit(self, name: str) -> str:
         """The unit of time; a field has none."""
         return "" if FIELD.match(name) else "s"
+
+    def place(self, number: float) -> str:
+        """The time since the first message."""
+        return f"{number:.6g} s"
 
     def has(self, name: str) -> bool:
         """Whether the file has the topic in a signal's name."""
@@ -189,14 +203,14 @@ class Messages(Signals):
             raise HardwareError(f"{self.path}: {name}: must be {wanted}")
         if match["topic"] not in self._topics:
             raise self.missing([match["topic"]], self._known)
-        times, messages = self._topics[match["topic"]]
+        times, places, messages = self._topics[match["topic"]]
         try:
             values = np.array([_field(message, match) for message in messages], dtype=np.float64)
         except (AttributeError, ValueError, IndexError, TypeError) as error:
             raise HardwareError(
                 f"{self.path}: {name}: no such number in a message ({words(error)})"
             ) from error
-        return Signal(times, values)
+        return Signal(times, values, places)
 
 
 def signals(path: Path, names: Collection[str], whole_lines: bool = False) -> Signals:
