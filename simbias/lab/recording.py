@@ -168,7 +168,10 @@ class Reader:
         if len(pieces) > 1:
             seconds = ", ".join(f"{b - a:.2f} s" for a, b in pieces[:MOST_TOLD])
             seconds += ", ..." * (len(pieces) > MOST_TOLD)
-            notes.append(f"gaps, resets or jumps leave {len(pieces)} pieces: {seconds}")
+            gaps = {self._quantities[i].name: len(self._begins(signal)) for i, signal in found.items()}
+            names = ", ".join(name for name, count in gaps.items() if count > min(gaps.values()))
+            alone = f"; columns with gaps of their own: {names}" if names else ""
+            notes.append(f"gaps, resets or jumps leave {len(pieces)} pieces: {seconds}{alone}")
         notes += self._left_out(found, runs_of, pieces[0][0], pieces[-1][1])
         return pieces
 

@@ -159,6 +159,8 @@ def test_gaps_and_resets_cut_it(
     assert [piece.frames for piece in found.pieces] == [299, 649]
     assert found.notes == ("gaps, resets or jumps leave 2 pieces: 0.60 s, 1.30 s",)
     np.testing.assert_allclose(found.pieces[1].states[0], rollout.states[350], rtol=1e-9)
+    held = read(table.assign(tau1=table["tau1"].where(~table.index.isin(range(300, 350)))))
+    assert held.notes[0].endswith("leave 2 pieces: 0.60 s, 1.30 s; columns with gaps of their own: tau1")
     table.loc[400:, "time"] -= table.loc[400, "time"]
     found = read(table)
     assert [piece.frames for piece in found.pieces] == [399, 599]
