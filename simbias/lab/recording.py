@@ -31,7 +31,7 @@ TWICE = 2.0  # factor by which inputs may exceed their limit
 SAME = 0.01  # of the samples: fewer with repeated times are not reported
 MOSTLY = 0.99  # of the frames: a quantile that excludes peaks of sensor noise
 TOLERANCE = 1.05  # times an input's limit: tolerated without a note
-MOST_TOLD = 8  # jumps, or pieces, reported in a line
+MOST_TOLD = 8  # pieces listed in a line
 NEAR = 0.01  # of a frame: a sample closer to its start belongs to it
 
 
@@ -223,9 +223,8 @@ class Reader:
         at = sorted({float(found[i].places[j]) for i, samples in each.items() for j in samples})
         if at:
             names = ", ".join(self._quantities[i].name for i, samples in each.items() if len(samples))
-            where = ", ".join(map(file.place, at[:MOST_TOLD]))
-            where += f" and {len(at) - MOST_TOLD} other places" * (len(at) > MOST_TOLD)
-            notes.append(f"{names}: a jump at {where}, more than velocities imply: are rows lost or doubled?")
+            jump = f"{names}: a jump at {file.places(at)}"
+            notes.append(f"{jump}, more than velocities imply: are rows lost or doubled?")
         return each
 
     def _begins(self, signal: Signal) -> Indices:

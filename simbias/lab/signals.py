@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -26,6 +26,7 @@ FIELD = re.compile(
 BAGS = (".mcap", ".db3", ".bag")
 NO_SAMPLE = ("", "nan", "na")  # cells without a sample
 NANOSECOND = 1e-9
+MOST_TOLD = 8  # places listed in a line
 
 
 class Signal(NamedTuple):
@@ -57,6 +58,11 @@ class Signals(ABC):
     @abstractmethod
     def place(self, number: float) -> str:
         """The name of a sample's place in the file, for messages."""
+
+    def places(self, numbers: Sequence[float] | Array) -> str:
+        """The names of places, of which the first few are listed."""
+        told = ", ".join(self.place(number) for number in numbers[:MOST_TOLD])
+        return told + f" and {len(numbers) - MOST_TOLD} other places" * (len(numbers) > MOST_TOLD)
 
     @abstractmethod
     def has(self, name: str) -> bool:
@@ -172,12 +178,11 @@ class Messages(Signals):
         self.notes = _misaligned(delays(bounds, arrivals, times), headed)
         if len(bounds):
             times = cut_at(bounds, arrivals, times)
-            after = ", ".join(self.place(at - begin) for at in bounds[:, 0])
-            told = f"clock reset or step {after} after the first message: all topics are cut there"
-            self.notes = (*self.notes, told)
+            told = f"a clock is reset or stepped at {self.places(bounds[:, 0] - begin)}"
+            self.notes = (*self.notes, f"{told}: all topics are cut there")
         found = {}
         for topic, instants in times.items():
-            order = [i for i in np.argsort(instants, kind="stable") if not np.isnan(instants[i])]
+            order = np.argsort(instants, kind="stable")[: np.sum(~np.isnan(instants))]  # NaN is last
             messages = [read[topic][i][-1] for i in order]
             found[topic] = instants[order], arrivals[topic][order] - begin, messages
         return found

@@ -483,7 +483,7 @@ def test_a_clock_that_is_set_cuts_all_topics(
     """At the same arrival; a topic without headers stays aligned. As in a file of columns."""
     rollout = rollout.part(0, 400)
     found = Reader(study.task, TOPICS).read(bag(rollout, tmp_path / "set", "MCAP", ahead, 0, step))
-    assert "clock reset or step 0.4 s after the first message: all topics are cut there" in found.notes
+    assert "a clock is reset or stepped at 0.4 s: all topics are cut there" in found.notes
     assert "gaps, resets or jumps leave 2 pieces: 0.40 s, 0.40 s" in found.notes
     for piece, begin in zip(found.pieces, (0, 200), strict=True):
         assert piece.frames >= 198
