@@ -12,7 +12,7 @@ import logging
 import platform
 import re
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, requires, version
@@ -50,11 +50,14 @@ def tell_what_is_in_clear(keys: Sequence[str], file: Path) -> None:
 
 
 def digests(study: Study) -> dict[str, str]:
-    """Digests of the user's modules, and of the files that components read (`source_files`), by name."""
+    """Digests of the user's modules, and of the files that components read (`source_files`), by name.
+
+    A file is named by its own name and its folder's, which are the same on a cluster's workers.
+    """
     contents: dict[str, list[bytes]] = {}
     for component in vars(study).values():
         for file in map(Path, getattr(component, "source_files", ())):
-            contents.setdefault("/".join(file.parts[-2:]), []).append(file.read_bytes())
+            contents.setdefault("/".join(file.absolute().parts[-2:]), []).append(file.read_bytes())
     files = {name: short_digest(b"".join(each)) for name, each in contents.items()}
     return {**study.composition.code, **files}
 
@@ -75,8 +78,18 @@ def changed_code(folder: TrialFolder, study: Study) -> str:
     """The user's modules, and files, that changed since a trial began, even if restored; "" if none did."""
     first = folder.description().get("code", {})
     later = [digests(study), *(each["code"] for each in folder.attempts() if "code" in each)]
-    changed = {name for code in later for name in {*first, *code} if code.get(name) != first.get(name)}
-    return ", ".join(sorted(changed))
+    return ", ".join(sorted({name for code in later for name in _changed(first, code)}))
+
+
+def _changed(first: Mapping[str, str], later: Mapping[str, str]) -> set[str]:
+    """The names whose digests differ; a file that only moved to a folder of another name is the same."""
+    gone, new = (
+        {name: (Path(name).name, code[name]) for name in code.keys() - other.keys()}
+        for code, other in ((first, later), (later, first))
+    )
+    moved = {*gone.values()} & {*new.values()}
+    changed = {name for name in first.keys() & later.keys() if first[name] != later[name]}
+    return changed | {name for name, file in {**gone, **new}.items() if file not in moved}
 
 
 def provenance() -> dict[str, Any]:

@@ -2,6 +2,7 @@ import subprocess
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
+from shutil import copytree
 
 import pytest
 from texts import write
@@ -76,7 +77,10 @@ ROD = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0 0 0.5\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 
 
 @pytest.mark.slow
 def test_a_file_that_a_component_reads_and_that_changes_is_said(tmp_path: Path, uncompiled: None) -> None:
-    """A model with its includes and meshes, a figure, recordings; a file that nobody reads is not."""
+    """A model with its includes and meshes, a figure, recordings; a file that nobody reads is not.
+
+    In a folder of another name, nothing has changed.
+    """
     conf = tmp_path / "conf"
     files = {
         "robot.xml": ROBOT,
@@ -92,7 +96,8 @@ def test_a_file_that_a_component_reads_and_that_changes_is_said(tmp_path: Path, 
     write(tmp_path, files)
     overrides = ["task=mine", "nominal=mine", "hardware=recorded", "cost=acrobot", "samples=thresholds"]
     overrides += ["method=model_based", f"method.first_policy={tmp_path / 'policy.json'}"]
-    study = simbias.load([*overrides, "bias=none", "tracking=none", "optimizer.max_evaluations=5"], conf)
+    overrides += ["bias=none", "tracking=none", "optimizer.max_evaluations=5"]
+    study = simbias.load(overrides, conf)
     run_trial(study, tmp_path / "trial")
     assert changed_since(study, tmp_path / "trial") == ""
     for name, text in files.items():
@@ -101,6 +106,11 @@ def test_a_file_that_a_component_reads_and_that_changes_is_said(tmp_path: Path, 
         read = not name.startswith(("conf", "notes"))
         assert (f"({'/'.join((tmp_path / name).parts[-2:])})" in said) == read, name
         (tmp_path / name).write_text(text)
+    moved = Path(copytree(tmp_path, tmp_path / "moved"))
+    study = simbias.load(overrides, moved / "conf")
+    assert changed_since(study, tmp_path / "trial") == ""
+    (moved / "path.csv").write_text("t,angle\n0,0.1\n0.5,0.2\n")
+    assert f"(moved/path.csv, {tmp_path.name}/path.csv)" in changed_since(study, tmp_path / "trial")
 
 
 def test_files_that_a_component_reads_may_be_strings(study: Study, folder: Path) -> None:
@@ -108,7 +118,7 @@ def test_files_that_a_component_reads_may_be_strings(study: Study, folder: Path)
     file.write_text("1,2\n")
     own = copy(study.policy)
     vars(own)["source_files"] = ["gains.csv", file]
-    assert set(origin.digests(replace(study, policy=own))) == {"gains.csv", f"{folder.name}/gains.csv"}
+    assert set(origin.digests(replace(study, policy=own))) == {f"{folder.name}/gains.csv"}
 
 
 def test_versions_of_all_that_is_required() -> None:
