@@ -14,12 +14,13 @@ from simbias.config.composition import NOT_HASHED, Composition
 from simbias.core.errors import ConfigError
 
 MOST_BYTES = 64 * 2**20
+ROOT = "root"  # stands for the name of /
 
 
 def packed(compositions: Iterable[Composition]) -> bytes:
     """Pack folders of configs and needed files beside them: modules, loaded packages, files named in configs.
 
-    The result is a zip file with the same layout: once unpacked into a folder of `sys.path`,
+    The result is a zip file of the folder that contains them: once this folder is unpacked and in `sys.path`,
     `simbias.core.files.find` and imports find everything. Empty if there is nothing to send; a ConfigError if
     it exceeds 64 MiB.
     """
@@ -44,7 +45,7 @@ def _needed(composition: Composition) -> Iterator[tuple[Path, str]]:
         for each in home.iterdir():
             package = each.is_dir() and each.name in loaded
             if each == folder or each.suffix == ".py" or package or each.name in named:
-                yield from ((file, str(file.relative_to(home))) for file in _files(each))
+                yield from ((file, f"{home.name or ROOT}/{file.relative_to(home)}") for file in _files(each))
 
 
 def _is_in(home: Path, name: str) -> bool:

@@ -65,6 +65,8 @@ class Dask(Engine):
     ) -> Results[R]:
         """Yield indices and results as tasks end; `code` is sent to a cluster at an address.
 
+        Sweeps with other code may run there at the same time: each task sees that of its own sweep.
+
         Dask holds two tasks per worker at a time: one running, one waiting. Dask blames a worker's death on
         all tasks that waited there, so a task that lost its workers runs alone at the end before it is
         blamed. A worker at which a task could not begin gets no more tasks while there are other workers.
@@ -77,7 +79,12 @@ class Dask(Engine):
         refused: set[str] = set()  # workers at which a task could not begin
         waiting, suspects = deque(range(len(tasks))), deque[int]()
         futures: dict[Future, int] = {}
-        with silent(LOGGER), self._client(code) as client, self._scheduler_in_reach():
+        with (
+            silent(LOGGER),
+            self._client() as client,
+            self._scheduler_in_reach(),
+            _sent(client, b"" if self._address is None else code()) as home,
+        ):
             # With with_results=True, it would wait forever for a result lost with its worker.
             ended = as_completed([], loop=client.loop)
             while waiting or suspects or futures:
@@ -86,8 +93,10 @@ class Dask(Engine):
                 while waiting and len(futures) < 2 * max(1, len(workers := _workers(client))):
                     index = waiting.popleft()
                     others = [each for each in workers if each not in refused] if refused else []
+                    # Without partial, Dask would search the arguments for calls.
+                    call = partial(_at_worker, function, tasks[index], home)
                     future = client.submit(
-                        partial(_at_worker, function, tasks[index]),  # as Dask searches arguments for calls
+                        call,
                         pure=False,
                         workers=others or None,
                         allow_other_workers=bool(others),  # if these are lost
@@ -123,7 +132,7 @@ class Dask(Engine):
                     yield index, result
 
     @contextmanager
-    def _client(self, code: Callable[[], bytes]) -> Iterator[Client]:
+    def _client(self) -> Iterator[Client]:
         """A client of the cluster. On closing it, Dask drops its tasks, and a local cluster ends."""
         from distributed import Client
 
@@ -138,10 +147,6 @@ class Dask(Engine):
         try:
             self._await_worker(client)
             _check_workers(client)
-            if packed := code():
-                from simbias.engine.sent_code import SentCode
-
-                client.register_plugin(SentCode(packed))
             yield client
         finally:
             with suppress(Exception):  # from a lost scheduler: would hide the reason
@@ -179,6 +184,32 @@ class Dask(Engine):
             raise EngineLostError("", problem) from error
 
 
+@contextmanager
+def _sent(client: Client, packed: bytes) -> Iterator[str]:
+    """Send a sweep's code to all workers, and to later ones while it runs; yield its place in their folders.
+
+    The place is "" without code.
+    """
+    from simbias.engine.sent_code import SentCode
+
+    if not packed:
+        yield ""
+        return
+    plugin = SentCode(packed)
+
+    # Sent by value, as the scheduler may lack simbias.
+    def forget(dask_scheduler: Any, name: str = plugin.name) -> None:
+        dask_scheduler.worker_plugins.pop(name, None)
+
+    client.register_plugin(plugin)
+    try:
+        yield plugin.home
+    finally:
+        if client.status == "running":  # otherwise the scheduler is lost
+            with suppress(Exception):  # would hide the reason of an early end
+                client.run_on_scheduler(forget)  # workers, which may be busy, are not waited for
+
+
 def _check_workers(client: Client) -> None:
     """Refuse workers with another version of simbias, which might crash, so that Dask waits for others.
 
@@ -209,14 +240,18 @@ def _workers(client: Client) -> list[str]:
     return list(threads)
 
 
-def _at_worker(function: Callable[[T], R], task: T) -> R:
-    """The result of a task; if it cannot begin at this worker, the error names the worker."""
+def _at_worker(function: Callable[[T], R], task: T, home: str) -> R:
+    """The result of a task, with its sweep's code; if it cannot begin here, the error names the worker."""
     from distributed import get_worker
 
+    from simbias.engine.sent_code import use
+
+    worker = get_worker()
     try:
+        use(home, worker)
         return function(task)
     except WorkplaceError as error:
-        raise WorkplaceError(error.problem, get_worker().address) from None
+        raise WorkplaceError(error.problem, worker.address) from None
 
 
 def dask_setup(worker: object) -> None:

@@ -116,7 +116,7 @@ def test_what_is_sent_to_workers_are_files(folder: Path) -> None:
     os.utime(folder / "my_gains.py", (0, 0))
     with zipfile.ZipFile(io.BytesIO(packed([compose(["hardware=mine"], folder / "conf")]))) as archive:
         names = {"conf/hardware/mine.yaml", "my_gains.py", "my_hardware.py", "unrelated.py"}
-        assert set(archive.namelist()) == names
+        assert set(archive.namelist()) == {f"{folder.name}/{name}" for name in names}
 
 
 def own_task() -> PointMass:

@@ -2,6 +2,7 @@
 
 import asyncio
 import importlib
+import io
 import logging
 import os
 import sys
@@ -9,13 +10,15 @@ import threading
 import time
 import urllib.error
 import urllib.request
+import zipfile
 from collections.abc import Iterable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import psutil
 import pytest
-from engine_tasks import begin, begin_elsewhere, work
+from engine_tasks import begin, begin_elsewhere, see, work
 from processes import runs, wait_for
 
 from simbias.config import ConfigError, compose
@@ -184,6 +187,25 @@ def test_a_worker_at_which_no_task_can_begin_swallows_none(caplog: pytest.LogCap
         assert said.startswith(f"simbias: a trial cannot begin at {bad}: no room")
         ((_, error),) = dask.run(begin_elsewhere, [[bad, good]])
     assert isinstance(error, WorkplaceError)
+
+
+def test_sweeps_with_other_code_run_side_by_side(cluster: Any, tmp_path: Path) -> None:
+    """Each task sees the modules and files of its own sweep; the scheduler keeps none of them."""
+
+    def packed(version: str) -> bytes:
+        stream = io.BytesIO()
+        with zipfile.ZipFile(stream, "w") as archive:
+            archive.writestr("home/mine.py", f"VALUE = {version!r}")
+            archive.writestr("home/mine.txt", version)
+        return stream.getvalue() if version else b""
+
+    versions = ["one", "two", "", "one"]  # one without code; two of equal code
+    dask, tasks = Dask(address=cluster.scheduler_address), 5 * [str(tmp_path / "conf")]
+    sweeps = [dask.run(see, tasks, partial(packed, version)) for version in versions]
+    for _ in range(5):
+        assert [next(sweep)[1] for sweep in sweeps] == [(version, version) for version in versions]
+    assert [list(sweep) for sweep in sweeps] == 4 * [[]]
+    assert not any(name.startswith("simbias") for name in cluster.scheduler.worker_plugins)
 
 
 def test_a_scheduler_that_ends_ends_the_sweep(

@@ -50,6 +50,7 @@ from simbias.robots.bongoboard.pymunk import PymunkBongoboard
 class Heavier(PymunkBongoboard):
     def __init__(self, task, file: ConfigFile, other: ConfigFile) -> None:
         super().__init__(task, inertia_error=FACTOR * float(Path(file).read_text() + Path(other).read_text()))
+        self.source_files = [file, other]
 """
 
 

@@ -1,5 +1,6 @@
 """What engines' workers do in tests, in a module that they import at once."""
 
+import importlib
 import math
 import os
 import signal
@@ -13,6 +14,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_info
 
+from simbias.core.files import find
 from simbias.engine.contract import WorkplaceError
 
 Task = tuple[int, float, str]  # a number, seconds, what becomes of its worker
@@ -62,6 +64,16 @@ def begin(task: tuple[str, float]) -> int:
     Path(file).touch()
     time.sleep(seconds)
     return os.getpid()
+
+
+def see(folder: str) -> tuple[str, str]:
+    """What a module `mine` and a file beside the folder of configs hold here."""
+    try:
+        value = importlib.import_module("mine").VALUE
+    except ImportError:
+        value = ""
+    file = Path(find("mine.txt", [folder]))
+    return value, file.read_text() if file.exists() else ""
 
 
 def begin_elsewhere(refusing: list[str]) -> str:
