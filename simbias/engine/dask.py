@@ -52,11 +52,10 @@ class Dask(Engine):
         Workers of the local cluster.
     """
 
-    shares_disk = False  # not known to share one
-
     def __init__(self, address: str | None = None, n_jobs: Workers = 2) -> None:
         library("distributed", "Dask", "dask")
         self._address = address
+        self.shares_disk = address is None  # otherwise not known to share one
         self.n_jobs = n_jobs if address is None else 1  # at least one: a cluster's workers come and go
         self._waits = False  # whether it waits for a worker, which was reported
 

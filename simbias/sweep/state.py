@@ -86,6 +86,7 @@ class SweepState:
         self._captions = {name: caption for name, caption in drawn.items() if name in sweep.figures}
         self._drawn = dict(self.folder.state().get("drawn", {}))  # number of trials in each figure
         self._due = 0.0
+        self._codes: dict[str, Mapping[str, str]] = {}  # of cells
         self.export = Export()  # shows the sweep elsewhere, once MLflow is imported; never created twice
         tell_what_is_in_clear(sweep.base.from_environment if store.folder else (), self.folder.path)
         asked, recorded = {trial.hash for trial in sweep.trials}, self.folder.trials_recorded()
@@ -129,13 +130,20 @@ class SweepState:
         """A trial as a worker needs it."""
         folder = self._store.trial_folder(trial.hash)
         composition = replace(trial.composition, from_environment=())  # already reported
-        digests = None if shares_disk else code(composition)
+        digests = None if shares_disk else self._code(trial)
         if folder is None:
             return PlannedTrial(composition, code=digests)
         marker = "" if shares_disk else str(self._marker)
         kept = pack(folder) if marker else b""
         pictures = _pictures(trial.repetition, self._store)
         return PlannedTrial(composition, str(folder.absolute()), marker, kept, pictures, digests)
+
+    def _code(self, trial: Trial) -> Mapping[str, str]:
+        """Digests of a trial's code and files, taken at the first trial of its cell."""
+        cell = trial.cell.composition.group_hash
+        if cell not in self._codes:
+            self._codes[cell] = code(build(trial.composition))
+        return self._codes[cell]
 
     def taken_in(self, trial: Trial, result: Result) -> Result:
         """A result, its folder unpacked if a worker sent it; dropped if the trial was run here meanwhile.

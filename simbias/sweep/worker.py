@@ -27,10 +27,12 @@ from simbias.engine.contract import WorkplaceError
 from simbias.engine.workplace import temporary_folder
 from simbias.trial.disk import write_whole
 from simbias.trial.folder import ATTEMPTS, OUTCOME, TRIAL, TakenError, TrialFolder
+from simbias.trial.origin import digests
 from simbias.trial.run import TrialRecord, run_trial
+from simbias.trial.study import Study
 from simbias.trial.summary import Outcome, TrialSummary
 
-OTHER_CODE = "the code of {} differs from that where the sweep was started"
+OTHER_CODE = "code or files differ from those where the sweep was started ({})"
 ROOM = 10_000_000  # bytes that must be free for a trial without a shared disk
 GONE = "the folder {} is gone: was it moved while the sweep ran? Move it back, and start the sweep again"
 
@@ -74,7 +76,7 @@ def run_plan(plan: PlannedTrial) -> Result:
             elif folder is not None and not folder.parent.exists():
                 return lost(GONE.format(folder.parent))
             study = build(plan.composition)
-            theirs = code(plan.composition) if plan.code else {}  # some may be loaded only there or here
+            theirs = code(study) if plan.code else {}  # some may be loaded only there or here
             if other := [
                 name for name, digest in (plan.code or {}).items() if theirs.get(name, digest) != digest
             ]:
@@ -117,9 +119,9 @@ def _where(error: BaseException) -> str:
     return f" (on {gethostname()}, in {Path.cwd()}{modules})"
 
 
-def code(composition: Composition) -> Mapping[str, str]:
-    """Digests of simbias and of the user's modules used by a composition, once built."""
-    return {"simbias": package_digest(), **composition.code}
+def code(study: Study) -> Mapping[str, str]:
+    """Digests of simbias, and of the user's modules and files that a study uses."""
+    return {"simbias": package_digest(), **digests(study)}
 
 
 def lost(reason: str) -> Result:

@@ -11,6 +11,7 @@ from zipfile import ZipFile
 import pytest
 from errors import one_line
 from sweeping import content
+from texts import write
 
 from simbias.config import Composition, compose
 from simbias.config.build import build
@@ -46,14 +47,14 @@ def whole(trial: Composition, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_worker_of_another_version_runs_no_trial(
-    plan: PlannedTrial, trial: Composition, monkeypatch: pytest.MonkeyPatch
+    plan: PlannedTrial, trial: Composition, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Nor does one whose disk is full, or that lacks a module."""
-    build(trial)
-    same = code(trial)
+    """Nor does one whose disk is full, that lacks a module, or that finds another file."""
+    same = code(build(trial))
     other = plan._replace(code={**same, "simbias": "another"})
     lacking = with_bias(plan, "simbias.learning.bias.gp.Nothing")._replace(code=same)
-    words = f"the code of simbias differs .*on {gethostname()}, ", "bias._target_: cannot import"
+    differs = r"code or files differ from those where the sweep was started \(simbias\)"
+    words = rf"{differs} \(on {gethostname()}, ", "bias._target_: cannot import"
     for unfit, said in zip((other, lacking), words, strict=True):
         with one_line(said, WorkplaceError):
             run_plan(unfit)
@@ -61,6 +62,14 @@ def test_a_worker_of_another_version_runs_no_trial(
         patch.setattr("simbias.sweep.worker.ROOM", 10**18)
         with one_line(r"OSError: \[Errno 28\] less than .* free: .* \(on [^;]*$", WorkplaceError):
             run_plan(plan._replace(code=same, marker="not here"))
+    with monkeypatch.context() as patch:
+        patch.setattr("simbias.learning.bias.gp.GaussianProcess.source_files", ["gains.csv"], raising=False)
+        patch.chdir(tmp_path)
+        write(tmp_path, {"gains.csv": "1"})
+        reads = plan._replace(code=code(build(trial)))
+        write(tmp_path, {"gains.csv": "2"})
+        with one_line(rf"differ .* \({tmp_path.name}/gains.csv\)", WorkplaceError):
+            run_plan(reads)
     assert not Path(str(plan.folder)).exists()
     assert run_plan(plan._replace(code={**same, "loaded_later": ""})).summary.outcome.final
 
