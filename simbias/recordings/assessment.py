@@ -113,6 +113,7 @@ class Assessment:
     def unexplained(self) -> tuple[float, float] | None:
         """The largest ratio of errors to those explained by noise and model uncertainty, with its horizon.
 
+        Parameters specific to a recording have the values fitted to it, as no other recording tells them.
         None if all errors are explained; otherwise the model is incomplete.
         """
         each = ((one.unexplained(), one.seconds) for one in self.predictions)
@@ -204,6 +205,11 @@ def assess(
         models = alone[::-1] if len(all_parts) == 2 else [fit(each, each.name) for each in rest]
     one = not kept and len(recordings) == 1  # its parts share its specific parameters
     models = [model.of_recording(0) if one else model.elsewhere() for model in models]
+    own = []
+    if not one and any(parameter.of_recording for parameter in identified.parameters):
+        for part, model in zip(judged, models, strict=True):
+            progress(f"what is specific to {part.name}")
+            own += _with_own(model, posterior, study.nominal, part)
     pairs = zip(alone, rest, strict=True)
     learned = [(model.elsewhere(), apart.rollouts) for model, apart in pairs] if kept else []
     assessment = Assessment(
@@ -214,7 +220,7 @@ def assess(
         kept,
         models,
         findings(identified, alone, by_window, 0.0 if shorter is None else shorter),
-        predictions(study.task, study.nominal, models, [part.rollouts for part in judged], learned),
+        predictions(study.task, study.nominal, models, [part.rollouts for part in judged], learned, own),
         mistakes(study.task, [study.nominal, identified], recordings),
         {
             factor * posterior.window: other.mean_deviation / identified.mean_deviation
@@ -223,6 +229,22 @@ def assess(
         shorter is not None,
     )
     return assessment.doubted(doubt)
+
+
+def _with_own(
+    model: Identified, posterior: Posterior, nominal: Nominal, part: Part
+) -> list[tuple[Identified, tuple[Rollout, ...]]]:
+    """The model, its specific parameters fitted to each recording of a part; shared ones stay unchanged."""
+    own = np.diag([float(parameter.of_recording) for parameter in model.parameters])
+    fitting = posterior.with_known(replace(model.known, spread=own.tolist()))
+    made = []
+    for name in dict.fromkeys(part.recordings):
+        pairs = zip(part.rollouts, part.recordings, strict=True)
+        pieces = tuple(rollout for rollout, each in pairs if each == name)
+        fitted = fitting.fit(nominal, pieces, [name] * len(pieces))
+        assert isinstance(fitted, Identified)
+        made.append((fitted.with_spread(np.hstack([model.spread - own, fitted.spread])), pieces))
+    return made
 
 
 def _check_length(posterior: Posterior, all_parts: Sequence[Part]) -> None:

@@ -39,6 +39,7 @@ class HorizonErrors:
     known: HeldOutErrors | None = None  # errors that give regions; None: for each part, the others'
     changes: tuple[Array, ...] = ()  # (w, n) predicted changes; empty if parts are the known recordings
     noises: tuple[Array, ...] = ()  # (n,) standard deviations of each part's measured states
+    own: tuple[tuple[Array, Array, Array], ...] = ()  # errors, spreads, noise of `own` models
 
     @property
     def windows(self) -> int:
@@ -75,7 +76,7 @@ class HorizonErrors:
         Sizes in the metric of these are compared at the 90% quantile of normal errors; nan if there are too
         few.
         """
-        each = zip(self.identified, self.spreads, self.noises, strict=True)
+        each = self.own or zip(self.identified, self.spreads, self.noises, strict=True)
         own = np.concatenate([sizes(wrong, spread + np.diag(noise**2)) for wrong, spread, noise in each])
         n = self.identified[0].shape[1]
         if len(own) < FEWEST * n:
@@ -110,11 +111,13 @@ def predictions(
     identified: Sequence[Nominal],
     parts: Sequence[Sequence[Rollout]],
     learned: Sequence[tuple[Nominal, Sequence[Rollout]]] = (),
+    own: Sequence[tuple[Nominal, Sequence[Rollout]]] = (),
 ) -> list[HorizonErrors]:
     """Prediction errors of the nominal model and of each part's identified model, by horizon.
 
     Regions are estimated from the errors of `learned` models on rollouts held out from each; without these,
-    from errors on the other parts.
+    from errors on the other parts. Models with `own` values of a recording's specific parameters, each with
+    the recording, tell how far errors are explained.
     """
     longest = min(max(rollout.frames for rollout in part) for part in parts)
     noises = tuple(_noise_of_part(part) for part in parts)
@@ -130,6 +133,7 @@ def predictions(
             _known(learned, k) if learned else None,
             tuple(changes(*each, k) for each in zip(wrong, parts, strict=True)) if learned else (),
             noises,
+            tuple((errors(*each, k), spread(*each, k), _noise_of_part(each[1])) for each in own),
         )
 
     return [ahead(k) for k in horizons(task, longest)]

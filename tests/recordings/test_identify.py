@@ -248,6 +248,23 @@ def test_what_is_advised_may_help(assessment: Assessment) -> None:
 
 
 @pytest.mark.slow
+def test_what_is_specific_to_a_recording_may_be_far_from_its_prior(robot: Robot) -> None:
+    """Two recordings whose zeros are five prior deviations away: the model lacks nothing."""
+    study = prepared(pendulum(*QUICK, "+identification.sensors={pos2: {zero: 0.01}}"))
+    recordings = {}
+    for (name, rollout), zero in zip(robot[1].items(), (0.05, -0.05), strict=True):
+        states = rollout.states + np.array([0.0, zero, 0.0, 0.0])
+        recordings[name] = (replace(rollout, states=states, measured=states),)
+    found = assess(study, recordings)
+    assert found.unexplained is None
+    assert found.trusted
+    medians = [replace(one, own=()).unexplained() for one in found.predictions]
+    assert max(medians) > 2.0
+    held = assess(study, {"one": recordings["one"]}, {"two": recordings["<script>two"]})
+    assert held.unexplained is None
+
+
+@pytest.mark.slow
 def test_a_model_that_is_no_better_says_so(study: Study) -> None:
     """Learned from a robot; what is held out is the nominal model's, which nothing can improve."""
     rng = np.random.default_rng(3)
