@@ -42,7 +42,7 @@ class Excitation:
     """Inputs, and their expected information."""
 
     rollout: Rollout  # predicted by the most probable model
-    deviations: Array  # (p,) of the expected posterior, in prior deviations: lower bounds
+    deviations: Array  # (p,) of the expected posterior, in prior deviations
     information: float  # nats gained: decrease of the posterior's log volume
     largest: Array  # (n,) magnitudes of states, over all models that keep the limits
 

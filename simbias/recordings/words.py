@@ -184,7 +184,7 @@ def advice(assessment: Assessment, excitation: Excitation | str) -> Iterator[str
     own = np.array([finding.prior.of_recording for finding in assessment.findings], bool)
     gained[own] = 0.0  # not useful for other recordings
     worth = gained > WORTH
-    told = [f"{names[i]} (by {100 * gained[i]:.0f}% at most)" for i in np.argsort(-gained) if worth[i]]
+    told = [f"{names[i]} (by about {100 * gained[i]:.0f}%)" for i in np.argsort(-gained) if worth[i]]
     seconds = excitation.rollout.frames * assessment.task.time_step
     if told:
         yield f"{seconds:g} s of the inputs in excitation.csv should narrow {', '.join(told)}."

@@ -64,8 +64,9 @@ def excite(request: Request, seconds: float, file: Path) -> None:
         )
     ]
     table(console, names, rows)
-    say(console, f"Deviations are relative to the prior's. {BOUND}")
+    say(console, "Deviations are relative to the prior's.")
     if not learned.rollouts:
+        say(console, BOUND)
         say(console, f"This assumes an exact model and white noise of {_levels(study, designer.noise)}.")
         say(console, "With recordings, in place of an option identified from them, model errors count, too.")
     say(console, f"The most probable model and {MODELS - 1} draws stay within {_extremes(study, found)}.")

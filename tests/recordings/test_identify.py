@@ -227,7 +227,7 @@ def test_what_is_advised_may_help(assessment: Assessment) -> None:
     assert narrowed > 0.5
     useful = replace(useless, deviations=np.array([narrowed, *useless.deviations[1:]]))
     (best, rest) = advice(assessment, useful)
-    assert best.endswith(f" should narrow {first.prior.name} (by 20% at most).")
+    assert best.endswith(f" should narrow {first.prior.name} (by about 20%).")
     assert first.prior.name not in rest
     assert rest.endswith(
         ": measure what you can in other ways (masses by weighing or with another load), and declare it."
