@@ -30,7 +30,6 @@ OFTEN = 0.1  # share of states beyond failure criteria; recordings of failures e
 WORTH = 0.1  # share by which an experiment must narrow a parameter for it to be named
 REMEDY = "measure what you can in other ways (masses by weighing or with another load), and declare it"
 SHORTER = "take a smaller nominal.sub_step or, in an MJCF, timestep"
-MEND = "errors are larger than the model explains; correct the recordings or the model first"
 TRUST = (
     "Trust is for motions like those recorded. To test it, hold out a faster or stronger one (--held-out)."
 )
@@ -171,15 +170,23 @@ def advice(assessment: Assessment, excitation: Excitation | str) -> Iterator[str
         yield f"Shorter steps of integration would move {', '.join(stepped)}: {SHORTER}."
     if not assessment.steps_checked:
         yield "Whether shorter steps of integration would move parameters could not be checked."
+    wrong = assessment.mistakes or assessment.unexplained is not None
     window, share = min(assessment.by_window.items(), key=itemgetter(1))
-    if share < NARROWER and not assessment.mistakes:
+    if wrong:
+        yield "Correct the recordings or the model before you record more."
+    elif share < NARROWER:
         narrower = f"With windows of {window:g} s, deviations are {share:.0%} of these on average"
         yield f"{narrower}: try identification.window={window:g}."
-    before = np.sqrt(np.diag(assessment.identified.covariance))
-    names = [finding.estimate.name for finding in assessment.findings]
     if isinstance(excitation, str):
         yield f"No trajectory is proposed ({excitation})."
-        return
+    elif not wrong:
+        yield from _narrowing(assessment, excitation)
+
+
+def _narrowing(assessment: Assessment, excitation: Excitation) -> Iterator[str]:
+    """Sentences on what the next trajectory should determine, and what not."""
+    before = np.sqrt(np.diag(assessment.identified.covariance))
+    names = [finding.estimate.name for finding in assessment.findings]
     gained = 1.0 - excitation.deviations / before
     own = np.array([finding.prior.of_recording for finding in assessment.findings], bool)
     gained[own] = 0.0  # not useful for other recordings
@@ -193,5 +200,4 @@ def advice(assessment: Assessment, excitation: Excitation | str) -> Iterator[str
         yield f"Another {seconds:g} s within the limits should narrow every parameter by less than {least}."
     left = [names[i] for i in np.flatnonzero(~own & ~worth & (excitation.deviations > 0.5))]
     if left:
-        wrong = assessment.mistakes or assessment.unexplained is not None
-        yield f"No input should determine {', '.join(left)}: {MEND if wrong else REMEDY}."
+        yield f"No input should determine {', '.join(left)}: {REMEDY}."

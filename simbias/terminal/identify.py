@@ -126,9 +126,11 @@ def identify(request: Request, attach: bool = False) -> bool:
     tell(console, assessment, excitation)
     say(console, f"Look at it:  {request.folder / 'report.html'}")
     again = f"--config-dir {request.configs} {GROUP}={request.option.stem}"
-    say(console, f"Start a trial with it:  {again}  ({request.option})")
-    if attach and assessment.better and not assessment.trusted:
-        say(console, "No trial is started, as no parameter is trusted; the line above starts one anyway.")
+    begin = f"Start a trial with it:  {again}  " if assessment.better else "Its option is not to be used:  "
+    say(console, f"{begin}({request.option})")
+    if attach and not assessment.trusted:
+        anyway = "; the line above starts one anyway" if assessment.better else ""
+        say(console, f"No trial is started, as no parameter is trusted{anyway}.")
         return False
     return assessment.better
 

@@ -232,6 +232,14 @@ def test_what_is_advised_may_help(assessment: Assessment) -> None:
     assert rest.endswith(
         ": measure what you can in other ways (masses by weighing or with another load), and declare it."
     )
+    lacking = [
+        replace(one, identified=tuple(9 * e for e in one.identified)) for one in assessment.predictions
+    ]
+    for wrong in ({"predictions": lacking}, {"mistakes": [Mistake("x", 0.5, [])]}):
+        incomplete = replace(assessment, by_window={0.2: 0.1}, **wrong)  # type: ignore[arg-type]
+        assert [*advice(incomplete, useful)] == [
+            "Correct the recordings or the model before you record more."
+        ]
     stepped = replace(first, doubts=(STEP_DOUBT,))
     said = next(advice(replace(assessment, findings=[stepped, *others]), "none"))
     assert said.startswith(f"Shorter steps of integration would move {first.prior.name}: take a smaller ")
@@ -666,6 +674,8 @@ def test_the_command_tells_and_writes(
     assert main([*files, "--attach", "--held-out", "two.csv", *overrides]) == 1
     out = capsys.readouterr().out
     assert "Do not use it." in out
+    assert "Its option is not to be used:  (identified/conf/identification/identified.yaml)\n" in out
+    assert "No trial is started, as no parameter is trusted.\n" in out
     assert "Next: No trajectory is proposed (it would rely on the identified model" in out
     for wrong, said in (
         (["identify", "three.csv", *arguments[2:]], "three.csv: no such recording (.csv, .csv.gz, .mcap, "),
