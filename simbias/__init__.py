@@ -111,11 +111,12 @@ def identify(
         If an override is bad, nothing is identified, or the recordings are unreadable or too short.
     """
     from simbias.config import compose
-    from simbias.config.build import OF_RECORDINGS, build
+    from simbias.config.build import NOT_OF_RECORDINGS, build
     from simbias.recordings.assessment import LONGEST, assess, prepared
     from simbias.recordings.reading import read_apart
 
-    study = prepared(build(compose(overrides, config_dir, allow), OF_RECORDINGS))
+    composition = compose(overrides, config_dir, allow, NOT_OF_RECORDINGS)
+    study = prepared(build(composition, NOT_OF_RECORDINGS))
     fitted, kept = read_apart(study, recordings, held_out, columns, LONGEST)
     for note in (*fitted.notes, *kept.notes):
         warnings.warn(note, stacklevel=2)

@@ -101,8 +101,8 @@ excite.TRAJECTORIES = identify.TRAJECTORIES = excitation.REFERENCES = 1
 excitation.MODELS, excitation.REFERENCE = 2, 0.5
 composed = Variations.composition
 
-def soon_done(variations, settings):
-    whole = composed(variations, settings)
+def soon_done(variations, *arguments):
+    whole = composed(variations, *arguments)
     if whole.choices["nominal"] != "none":  # else a bias is all that there is
         learns = {group: file_of(group, "none") for group in ("identification", "bias")}
         whole = replace(whole, config=whole.config | learns)

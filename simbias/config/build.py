@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from typing import Any, NotRequired, Required, get_type_hints
@@ -38,15 +38,14 @@ VALUES = {
     "budget": NotRequired[Budget],
 }
 OF_ROBOTS = ("hardware", "identification", "samples", "bias")  # groups built without a task's targets
-OF_RECORDINGS = ("hardware", "identification")  # groups that recordings need in addition to task and model
 BESIDE_STUDIES = ("tracking", *OF_SWEEPS)  # groups without a component in a study
+CONTRACTS = {k: v for k, v in get_type_hints(Study).items() if k not in NO_COMPONENTS}
+OF_RECORDINGS = ("task", "nominal", "hardware", "identification")
+NOT_OF_RECORDINGS = tuple(group for group in CONTRACTS if group not in OF_RECORDINGS)
 
 
-def build(composition: Composition, groups: Collection[str] | None = None) -> Study:
-    """Construct the components of a study.
-
-    With `groups`, only task, model and these groups are built; the others are None, and need not fit the
-    task.
+def build(composition: Composition, left_out: Sequence[str] = ()) -> Study:
+    """Construct the components of a study; those of groups that are `left_out` are None.
 
     Raises
     ------
@@ -55,14 +54,13 @@ def build(composition: Composition, groups: Collection[str] | None = None) -> St
     """
     composition = composition.trial
     config = {**LATER, **composition.config}
-    contracts = {k: v for k, v in get_type_hints(Study).items() if k not in NO_COMPONENTS}
     for key in config:
-        if key not in contracts and key not in (*VALUES, *BESIDE_STUDIES):
+        if key not in CONTRACTS and key not in (*VALUES, *BESIDE_STUDIES):
             keys = [f"{key}.{each}" for each in config[key]] if isinstance(config[key], Mapping) else []
-            problem = f"no such group; available: {', '.join([*contracts, *BESIDE_STUDIES])}"
+            problem = f"no such group; available: {', '.join([*CONTRACTS, *BESIDE_STUDIES])}"
             raise unknown([*keys, key], key, problem)
-    for key in (*contracts, "seed"):
-        if key not in config:
+    for key in (*CONTRACTS, "seed"):
+        if key not in config and key not in left_out:
             raise ConfigError(key, "missing")
     values = validate({key: config[key] for key in VALUES if key in config}, VALUES, "")
     timeout = values.pop("experiment_timeout", None)
@@ -73,14 +71,12 @@ def build(composition: Composition, groups: Collection[str] | None = None) -> St
     given = {"task": task, "nominal": nominal, "hardware_from": partial(_hardware, own=own, task=task)}
     of_robot = {**given, "task": task.without_targets}
     components: dict[str, Any] = {}
-    for group, contract in contracts.items():
+    for group, contract in CONTRACTS.items():
         if group not in given:
             beside = of_robot if group in OF_ROBOTS else given
             arguments = {key: beside[key] for key in BESIDE.get(group, PROVIDED)}
-            needed = groups is None or group in groups
-            components[group] = (
-                construct(config[group], contract, group, own, **arguments) if needed else None
-            )
+            left = group in left_out
+            components[group] = None if left else construct(config[group], contract, group, own, **arguments)
     study = Study(
         task=task,
         nominal=nominal,

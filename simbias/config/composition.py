@@ -73,18 +73,22 @@ class Composition:
 
 
 def compose(
-    overrides: Sequence[str] = (), config_dir: Path | str | None = None, allow: Sequence[str] = ()
+    overrides: Sequence[str] = (),
+    config_dir: Path | str | None = None,
+    allow: Sequence[str] = (),
+    left_out: Sequence[str] = (),
 ) -> Composition:
     """Compose the config with Hydra; `config_dir` is also searched for groups, options and sweeps.
 
-    It may name classes of simbias, of modules beside `config_dir` and of modules in `allow`.
+    It may name classes of simbias, of modules beside `config_dir` and of modules in `allow`. Groups that are
+    `left_out` are not resolved.
 
     Raises
     ------
     ConfigError
         If an override names an unknown key or option, or cannot be parsed or resolved.
     """
-    return Variations(overrides, config_dir, allow).composition({})
+    return Variations(overrides, config_dir, allow).composition({}, left_out)
 
 
 class Variations:
@@ -110,14 +114,14 @@ class Variations:
         self._allowed = prefixes(self._folders, allow)
         self._read = [resource_folder("conf"), *map(Path.resolve, self._folders)]
 
-    def composition(self, settings: Mapping[str, Any]) -> Composition:
+    def composition(self, settings: Mapping[str, Any], left_out: Sequence[str] = ()) -> Composition:
         """The composition with options (`bias`), values (`bias.d`) and new values (`+hardware.noise.x`) set.
 
-        Errors as for `compose`.
+        Groups left out, and errors, as for `compose`.
         """
         with errors_in_one_line(self.overrides):
             config, choices = self._merged(self._split, settings, grid=True)
-            return self._finished(config, choices, _from_environment(config))
+            return self._finished(config, choices, _from_environment(config), left_out)
 
     def trial(self, settings: Mapping[str, Any]) -> Composition:
         """The part of this composition that concerns a single trial; errors as for `compose`.

@@ -11,7 +11,7 @@ import numpy as np
 from rich.console import Console
 
 from simbias.config import ConfigError, compose
-from simbias.config.build import OF_RECORDINGS, build
+from simbias.config.build import NOT_OF_RECORDINGS, build
 from simbias.config.components import component_class
 from simbias.config.hydra_config import overridden
 from simbias.lab.recorded import Recorded
@@ -63,8 +63,9 @@ class Request(NamedTuple):
         components needed for recordings or, with an attached trial, all components.
         """
         with preparing():
-            composition = compose(self._identifying, self.config_dir, self.allow)
-            study = prepared(build(composition, None if attach else OF_RECORDINGS))
+            left_out = () if attach else NOT_OF_RECORDINGS
+            composition = compose(self._identifying, self.config_dir, self.allow, left_out)
+            study = prepared(build(composition, left_out))
         recordings, held_out = read_apart(study, self.recordings, self.held_out, self.columns, windows)
         for note in (*recordings.notes, *held_out.notes):
             say(console, note, "yellow")
@@ -81,7 +82,7 @@ class Request(NamedTuple):
         # Without keys of the group, which may belong to the option that is still to be chosen.
         pairs = zip(self.overrides, keys, strict=True)
         others = [each for each, key in pairs if not key.startswith(f"{GROUP}.")]
-        found = compose(others, self.config_dir, self.allow)
+        found = compose(others, self.config_dir, self.allow, NOT_OF_RECORDINGS)
         chosen = issubclass(component_class(found.config[GROUP], GROUP, found.own.modules), Posterior)
         return [*self.overrides, *([] if chosen else [f"{GROUP}=posterior"])]
 

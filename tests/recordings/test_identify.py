@@ -792,15 +792,18 @@ def test_files_hold_windows_of_whole_chunks(folder: Path) -> None:
         read(study, ["33.csv"], windows=2.0)
 
 
-def test_nothing_is_asked_of_a_tasks_targets(folder: Path) -> None:
+def test_nothing_is_asked_of_a_tasks_targets(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """They are no states of the robot, and no recording has them."""
     options = ["preset=reacher", "identification=posterior", "tracking=none"]
     task = simbias.load(options).task.without_targets
-    options += ["cost=quadratic", "policy=output_feedback"]  # which do not fit the task, nor play a part
+    # Do not fit the task, nor play a part; the samples' limits are of another one.
+    options += ["cost=quadratic", "policy=output_feedback", "samples=bongoboard"]
     names = ["time", *(each.name for each in (*task.states, *task.inputs))]
     pd.DataFrame(task.time_step * np.tile(np.arange(5.0)[:, None], len(names)), columns=names).to_csv("a.csv")
     with pytest.raises(ConfigError, match=r"^a\.csv: is shorter than a window of "):
         simbias.identify(["a.csv"], options)
+    assert main(["identify", "a.csv", *options]) == 2
+    assert capsys.readouterr().err.startswith("simbias: a.csv: is shorter than a window of ")
 
 
 @pytest.fixture(scope="module")
