@@ -17,6 +17,14 @@ _OTHERS = {"A": 1.0, "mA": 1e-3}
 _VOLTAGE = {"V": 1.0, "mV": 1e-3}
 _RATES = {f"{unit}/s": factor for unit, factor in _ANGLE.items()} | {"rpm": pi / 30, "1/min": pi / 30}
 _SPEEDS = {f"{unit}/s": factor for unit, factor in _LENGTH.items()}
+_SPELLED = {  # in any case, by regular expressions
+    "deg(ree)?s?": "deg",
+    "rad(ian)?s?": "rad",
+    "met(er|re)s?": "m",
+    "sec(onds?)?$": "s",
+    "milli": "m",
+    "rpm": "rpm",
+}
 KINDS = (_ANGLE, _LENGTH, _TIME, _TORQUE, _FORCE, _OTHERS, _VOLTAGE, _RATES, _SPEEDS)
 
 
@@ -39,7 +47,8 @@ def factor(unit: str, wanted: str) -> float:
 
 
 def _plain(unit: str) -> str:
-    """The listed form of a unit: Nm, N*m and N.m are N m, degrees are deg, sec is s."""
-    text = re.sub(r"[·*.]", " ", unit.strip())
-    text = re.sub(r"degrees?", "deg", re.sub(r"sec(onds?)?$", "s", text))
+    """The listed form of a unit: Nm, N*m and N-m are N m, degrees are deg, milliseconds are ms."""
+    text = re.sub(r"[·*.-]", " ", unit.strip())
+    for spelled, listed in _SPELLED.items():
+        text = re.sub(spelled, listed, text, flags=re.IGNORECASE)
     return next((listed for listed in _TORQUE if listed.replace(" ", "") == text), text)

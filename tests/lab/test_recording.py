@@ -60,9 +60,12 @@ def read(study: Study, tmp_path: Path) -> Read:
 def test_factors_between_units() -> None:
     assert factor("deg", "rad") == pytest.approx(np.pi / 180)
     assert factor("rpm", "rad/s") == pytest.approx(2 * np.pi / 60)
-    assert factor("Nm", "N m") == factor("N*m", "N m") == factor("N.m", "N m") == 1.0
+    assert factor("Nm", "N m") == factor("N*m", "N m") == factor("N-m", "N m") == 1.0
     assert factor("mNm", "N m") == factor("ms", "s") == factor("msec", "s") == 1e-3
-    assert factor("rad/sec", "rad/s") == factor("seconds", "s") == 1.0
+    assert factor("rad/sec", "rad/s") == factor("seconds", "s") == factor("meters", "m") == 1.0
+    assert factor("Deg/s", "rad/s") == factor("degrees", "radians") == factor("deg", "rad")
+    assert factor("RPM", "rad/s") == factor("rpm", "rad/s")
+    assert factor("milliseconds", "s") == factor("millimetres", "m") == 1e-3
     assert factor("anything", "anything") == 1.0
     with pytest.raises(ValueError, match=r"cannot be in deg; expected one of rad/s, mrad/s, deg/s"):
         factor("deg", "rad/s")
