@@ -91,9 +91,21 @@ def client_of(uri: str) -> MlflowClient:
     """MLflow's client of a store; relative SQLite files are resolved in the current working folder."""
     from mlflow import MlflowClient
 
-    match, file = SQLITE.fullmatch(uri), database(uri)
-    absolute = uri if match is None else f"{uri[: match.start('file')]}{file}{uri[match.end('file') :]}"
-    return MlflowClient(tracking_uri=absolute)
+    return MlflowClient(tracking_uri=address(uri))
+
+
+def address(uri: str) -> str:
+    """The address of a store for MLflow: of a SQLite file, absolute, with `%` and `?` quoted.
+
+    It names the driver, since MLflow makes a folder of the quoted name for `sqlite:///`.
+    """
+    if (file := database(uri)) is None:
+        return uri
+    import sqlalchemy
+
+    url = sqlalchemy.make_url(uri)
+    named = url.set(drivername=f"sqlite+{url.get_driver_name()}", database=str(file))
+    return named.render_as_string(hide_password=False)
 
 
 def _experiment_id(client: MlflowClient, name: str, artifacts: str | None) -> str:

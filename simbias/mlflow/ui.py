@@ -12,7 +12,7 @@ import webbrowser
 from simbias.core.errors import ConfigError
 from simbias.core.interruption import Interruption
 from simbias.core.messages import redact
-from simbias.mlflow.store import is_server
+from simbias.mlflow.store import address, is_server
 
 HOST, PORT = "127.0.0.1", 5000
 SPARING = {"MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false"}  # a fifth of the memory, and a faster start
@@ -31,7 +31,8 @@ def show(uri: str, page: str, port: int | None = None) -> None:
     port = _free_port(port)
     command = [sys.executable, "-m", "mlflow", "ui", "--workers", "1", "--host", HOST, "--port", str(port)]
     # In the environment, since all users can see command lines, and the address may have a password.
-    environment, nowhere = SPARING | os.environ | {"MLFLOW_BACKEND_STORE_URI": uri}, subprocess.DEVNULL
+    store, nowhere = {"MLFLOW_BACKEND_STORE_URI": address(uri)}, subprocess.DEVNULL
+    environment = SPARING | os.environ | store
     with Interruption(), subprocess.Popen(command, env=environment, stdout=nowhere, stderr=nowhere) as server:
         try:
             _wait_for(server, port)

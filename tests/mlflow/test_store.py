@@ -57,12 +57,16 @@ def test_processes_make_a_new_store_at_once_and_share_it(tmp_path: Path) -> None
 def test_its_files_lie_beside_it(
     new_store: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Quietly, and nothing of the user's MLflow is touched."""
+    """Quietly, whatever the folder's name, and nothing of the user's MLflow is touched."""
     monkeypatch.delenv("MLFLOW_HTTP_REQUEST_MAX_RETRIES", raising=False)
+    folder /= "a%41?ü #"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
     shutil.copy(new_store, folder)
     level = logging.getLogger("mlflow").level
     client, experiment_id = store.connect("sqlite:///mlflow.db", "mine")
     assert client.get_experiment(experiment_id).artifact_location == (folder / "mlartifacts").as_uri()
+    assert [*folder.parent.iterdir()] == [folder]
     assert Mlflow().folder == folder / "trials"
     assert Mlflow(trials="elsewhere").folder == Path("elsewhere")
     assert (logging.getLogger("mlflow").level, capfd.readouterr()) == (level, ("", ""))
