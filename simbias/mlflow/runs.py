@@ -6,6 +6,7 @@ A few large writes take a fraction of the time of many small ones.
 from __future__ import annotations
 
 import logging
+import os
 import shlex
 import shutil
 from abc import abstractmethod
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from mlflow.entities import Run
 
 URI, EXPERIMENT = "sqlite:///mlflow.db", "simbias"  # defaults
+EXPORT_LOCK = ".export.lock"  # in a folder, while its run is written
 AWAY = "simbias: MLflow: %s. All is kept in %s; once the store is back, show it with:  %s"
 NOT_EXPORTED = "simbias: MLflow does not show a trial: %s"
 
@@ -130,12 +132,16 @@ class Runs:
         found = self._search(f"tags.hash = '{identity}'")
         return [run for run in found if run.data.tags.get(pages.PARENT, "") == parent]
 
-    def making(self) -> AbstractContextManager[None]:
-        """A lock for looking up or creating a run, against other processes on this machine."""
-        seconds = store.MAKING_SECONDS
-        taken = ConfigError("tracking.uri", f"another process has been making a run for {seconds:g} s")
-        name = short_digest(f"{store.database(self.uri) or self.uri} {self._experiment}".encode())
-        return locked(cache_folder("stores") / f"{name}.lock", seconds, taken)
+    def writing(self, folder: Path) -> AbstractContextManager[None]:
+        """A lock for writing a folder's run, against all processes that may write to the folder.
+
+        Without permission to do so, against other processes of this installation.
+        """
+        lock, seconds = folder / EXPORT_LOCK, store.MAKING_SECONDS
+        taken = ConfigError("tracking.uri", f"another process has been writing a run for {seconds:g} s")
+        if not os.access(lock if lock.exists() else folder, os.W_OK):
+            lock = cache_folder("stores") / f"{short_digest(str(folder.resolve()).encode())}.lock"
+        return locked(lock, seconds, taken)
 
     def nested(self, parent: str) -> dict[str, list[Run]]:
         """The runs of a sweep's trials by hash, newest first."""

@@ -54,10 +54,18 @@ class SweepRun(RunExport):
 
     def write(self, final: bool = False) -> None:
         """Write what the run lacks and, at the end, all trials that the store lacks."""
-        state, run = self._folder.state(), self._run()
+        state = self._folder.state()
+        with self.runs.writing(self.path):
+            self._run()
         paths = [self._folder.trials / identity for identity in self._description["trials"] if final]
         there = [TrialFolder(path) for path in paths if path.exists()]
         self.shown = [readable(partial(self._write_trial, folder)) for folder in there]
+        with self.runs.writing(self.path):
+            self._write(state, final)
+
+    def _write(self, state: dict[str, Any], final: bool) -> None:
+        """Write what the parent lacks, while no other process does."""
+        run = self._run()
         tables = self._folder.tables() if final else []
         own = (*self._folder.figures(), *tables)
         files: dict[str, Path | bytes] = {file.relative_to(self.path).as_posix(): file for file in own}
@@ -89,9 +97,8 @@ class SweepRun(RunExport):
             return run
         self._uploaded, self._exports, self._done = None, {}, set()
         tags = {**origin_tags(about), "hash": about["hash"], "sweep": about["name"]}
-        with runs.making():
-            found = runs.find(about["hash"])
-            run = found[-1] if found else runs.create(f"sweep {about['name']}", tags)
+        found = runs.find(about["hash"])
+        run = found[-1] if found else runs.create(f"sweep {about['name']}", tags)
         self._known = runs.nested(run.info.run_id) if found else {}
         for identity, trial in about["trials"].items():
             for each in self._known.get(identity, ()):

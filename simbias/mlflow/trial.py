@@ -52,9 +52,14 @@ class TrialExport(RunExport):
 
     def write(self, final: bool = False) -> None:
         """Write what the run lacks: files first, so that numbers appear last."""
+        if began_at(self._folder):
+            with self.runs.writing(self.path):
+                self._write()
+
+    def _write(self) -> None:
+        """Write what the run lacks, while no other process does."""
         folder = self._folder
-        if not (courses := began_at(folder)):
-            return
+        courses = began_at(folder)
         description, iterations, summary = folder.description(), folder.iterations(), folder.summary()
         running, run_id, self.run_id = is_locked(self.path / LOCK), self.run_id, ""
         run = self.runs.client.get_run(run_id) if run_id else self._run(description, courses)
@@ -82,15 +87,14 @@ class TrialExport(RunExport):
         """
         runs, nested, identity = self.runs, self._nested, description["hash"]
         if nested and (run := _begun(nested.known, courses[-1])):
-            return run
+            return runs.client.get_run(run.info.run_id)
         tags = {**origin_tags(description), "hash": identity}
         if nested:
             tags |= {PARENT: nested.parent, **nested.tags}
-        with runs.making():
-            found = runs.find(identity, nested.parent if nested else "")
-            if run := _begun(found, courses[-1]):
-                return run
-            new = runs.create(nested.name if nested else notes.run_name(description), tags, courses[-1])
+        found = runs.find(identity, nested.parent if nested else "")
+        if run := _begun(found, courses[-1]):
+            return run
+        new = runs.create(nested.name if nested else notes.run_name(description), tags, courses[-1])
         for run in found:
             if run.info.start_time in courses:
                 page = run_page(runs.experiment_id, new.info.run_id)
