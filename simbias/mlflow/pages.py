@@ -22,9 +22,9 @@ def run_page(experiment_id: str, run_id: str, file: str = "") -> str:
     return f"#/experiments/{experiment_id}/runs/{run_id}{artifact}?{MODE}"
 
 
-def list_page(experiment_id: str, sweep: str = "") -> str:
+def list_page(experiment_id: str, parent: str = "") -> str:
     """Address within the UI of all runs, or of a sweep's trials as listed by `trials_view`."""
-    view = f"&viewStateShareKey={sweep}" if sweep else ""
+    view = f"&viewStateShareKey={parent}" if parent else ""
     return f"#/experiments/{experiment_id}/runs?{MODE}{view}"
 
 
@@ -51,7 +51,7 @@ def trials_view(sweep: Mapping[str, Any], parent: str) -> tuple[str, str]:
         "createdAt": int(1000 * time.time()),
         "state": json.dumps(state),
     }
-    return VIEW + sweep["hash"], json.dumps({**view, **state})  # views without a name are the state itself
+    return VIEW + parent, json.dumps({**view, **state})  # views without a name are the state itself
 
 
 def _column(axis: Mapping[str, Any]) -> str:

@@ -34,6 +34,8 @@ EXPORT_LOCK = ".export.lock"  # in a folder, while its run is written
 AWAY = "simbias: MLflow: %s. All is kept in %s; once the store is back, show it with:  %s"
 NOT_EXPORTED = "simbias: MLflow does not show a trial: %s"
 
+OUTDATED = "outcome", "superseded"  # tag of a run whose trial has a later one
+
 Point = tuple[str, float, int, float]  # name, value, step, s since the epoch
 Files = Mapping[str, Path | bytes]  # by artifact name: a file to copy, or content to write
 
@@ -127,9 +129,9 @@ class Runs:
                 logging.getLogger(__name__).warning(AWAY, error, self._trials, self.export_command)
             self.away = True
 
-    def find(self, identity: str, parent: str = "") -> list[Run]:
-        """The runs with this hash in a parent, or in no sweep, without deleted ones."""
-        found = self._search(f"tags.hash = '{identity}'")
+    def find(self, identity: str, parent: str = "", deleted: bool = False) -> list[Run]:
+        """The runs with this hash in a parent, or in none, newest first; existing or deleted ones."""
+        found = self._search(f"tags.hash = '{identity}'", deleted)
         return [run for run in found if run.data.tags.get(pages.PARENT, "") == parent]
 
     def writing(self, folder: Path) -> AbstractContextManager[None]:
@@ -165,11 +167,14 @@ class Runs:
         else:
             self.client.set_terminated(run.info.run_id, status, end_time=end_time)
 
-    def _search(self, filter_string: str) -> Iterator[Run]:
-        """Runs of the experiment, newest first."""
+    def _search(self, filter_string: str, deleted: bool = False) -> Iterator[Run]:
+        """Runs of the experiment, newest first; existing or deleted ones."""
+        from mlflow.entities import ViewType
+
+        view = ViewType.DELETED_ONLY if deleted else ViewType.ACTIVE_ONLY
         token: str | None = None
         while True:
-            page = self.client.search_runs([self.experiment_id], filter_string, page_token=token)
+            page = self.client.search_runs([self.experiment_id], filter_string, view, page_token=token)
             yield from page
             token = page.token
             if not token:
@@ -235,6 +240,12 @@ class RunExport(Export):
         lacking = {name: files[name] for name in sizes if again or sizes[name] != known.get(name)}
         flush(self.runs.client, run.info.run_id, lacking, parameters, metrics, tags)
         self._uploaded = {**known, **sizes}
+
+
+def superseded(run: Run) -> bool:
+    """Whether a later run shows the trial."""
+    tag, value = OUTDATED
+    return run.data.tags.get(tag) == value
 
 
 def size(content: Path | bytes) -> int:

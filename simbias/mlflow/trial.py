@@ -13,7 +13,7 @@ import yaml
 from simbias.core.records import Iteration
 from simbias.mlflow import notes
 from simbias.mlflow.pages import NOTE, PARENT, run_page
-from simbias.mlflow.runs import Point, RunExport, Runs
+from simbias.mlflow.runs import OUTDATED, Point, RunExport, Runs, superseded
 from simbias.trial.continuation import continued
 from simbias.trial.disk import LOCK, is_locked
 from simbias.trial.folder import PICTURES, TrialFolder
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 Dumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # the C version is ten times faster
 FOLDER = "trial"  # name of the trial's folder among a run's artifacts
 ITERATIONS = "experiments/iterations"  # the metric with the number of exported iterations
-SUPERSEDED = "**Superseded**: an experiment was withdrawn; the trial goes on in [a new run]({})."
+SUPERSEDED = "**Superseded** by [a new run]({}): an experiment was withdrawn, or the trial was made again."
 STATUS = {Outcome.ERROR: "FAILED", Outcome.INTERRUPTED: "KILLED", Outcome.WAITING: "SCHEDULED"}
 KEY_LENGTH, VALUE_LENGTH = 250, 6000  # characters that MLflow accepts
 
@@ -96,11 +96,11 @@ class TrialExport(RunExport):
             return run
         new = runs.create(nested.name if nested else notes.run_name(description), tags, courses[-1])
         for run in found:
-            if run.info.start_time in courses:
+            if (nested or run.info.start_time in courses) and not superseded(run):
                 page = run_page(runs.experiment_id, new.info.run_id)
                 note = f"{SUPERSEDED.format(page)}\n\n{run.data.tags.get(NOTE, '')}"
                 runs.client.set_tag(run.info.run_id, NOTE, note)
-                runs.client.set_tag(run.info.run_id, "outcome", "superseded")
+                runs.client.set_tag(run.info.run_id, *OUTDATED)
         return new
 
 

@@ -1,6 +1,6 @@
 """The folder of a sweep: its trials and its results. Each trial has its own folder.
 
-sweep.json                   name, hash, command, config, axes, and each trial's hash and place in the grid
+sweep.json                   name, hash, first start, command, config, axes; the trials' hashes and labels
 state.json                   progress, its table and the table's meaning
 trials.csv, table.csv, .md   a row for each trial, a row for each cell
 experiments/<hash>.json      outcomes of additional experiments for figures
@@ -9,6 +9,7 @@ figures/                     the figures
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -34,9 +35,11 @@ class SweepFolder:
     path: Path
 
     def begin(self, description: Mapping[str, Any]) -> None:
-        """Write sweep.json."""
+        """Write sweep.json; `started` (s since the epoch) stays that of the first start."""
         self.path.mkdir(parents=True, exist_ok=True)
-        write_json(self.path / SWEEP, description)
+        known = self.description() if (self.path / SWEEP).exists() else {"started": time.time()}
+        started = {key: known[key] for key in known.keys() & {"started"}}  # earlier folders have none
+        write_json(self.path / SWEEP, {**description, **started})
 
     def description(self) -> dict[str, Any]:
         """The content of sweep.json."""

@@ -4,6 +4,7 @@ import io
 import json
 import re
 import shutil
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -37,6 +38,8 @@ from simbias.__main__ import main
 from simbias.config import ConfigError
 from simbias.engine.contract import EngineLostError
 from simbias.engine.sequential import Sequential
+from simbias.mlflow.pages import PARENT
+from simbias.mlflow.runs import superseded
 from simbias.sweep import results, tables
 from simbias.sweep.figure import UndrawnError
 from simbias.sweep.folder import CHANGED, SweepFolder
@@ -478,3 +481,32 @@ def test_a_sweep_that_was_relabelled_is_shown_as_it_is_now_and_a_part_of_it_whol
     assert capsys.readouterr().out == "".join(
         f"sweep mine: {count} of 2 trials\n0 trials in no sweep\n" for count in (1, 0)
     )
+
+
+@pytest.mark.usefixtures("unpainted")
+def test_each_folder_of_a_sweep_has_a_run_in_which_each_trial_counts_once(folder: Path, store: str) -> None:
+    """Also if the run was deleted, or a trial was made again."""
+    command = ["+sweep=smoke", *QUICK, NO_FIGURES, "sweep.trials=1", "engine=sequential", store]
+    folders = ["tracking.trials=mine", "tracking.trials=yours"]
+
+    def shown() -> dict[str, str]:
+        """The parent of each trial's run."""
+        parents, trials = runs(folder)
+        found = {run.info.run_id: run.data.tags[PARENT] for run in trials if not superseded(run)}
+        assert Counter(found.values()) == {run.info.run_id: 2 for run in parents}
+        assert len(parents) == 2
+        return found
+
+    for each in folders:
+        assert main([*command, each]) == 0
+    before = shown()
+    for each in runs(folder)[0]:
+        client_of(folder).delete_run(each.info.run_id)
+    for each in folders:
+        assert main(["export", store, each]) == 0
+    after = shown()
+    assert before.keys() == after.keys()
+    assert set(before.values()).isdisjoint(after.values())
+    shutil.rmtree(next(folder.glob("mine/*/trial.json")).parent)
+    assert main([*command, folders[0]]) == 0
+    assert len(shown().keys() - before.keys()) == 1
