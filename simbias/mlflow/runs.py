@@ -111,7 +111,7 @@ class Runs:
         if identity is None:
             return pages.list_page(self.experiment_id)
         found = self._search(f"tags.hash = '{identity}'") if identity.isalnum() else iter(())
-        run = next(found, None)
+        run = min(found, key=superseded, default=None)  # the newest one, unless it is superseded
         if run is None:
             raise ConfigError(identity, "no run of the store has this hash; `export` shows a folder's trials")
         return pages.run_page(self.experiment_id, run.info.run_id)

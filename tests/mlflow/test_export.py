@@ -207,7 +207,11 @@ def test_a_trial_goes_on_in_a_new_run_after_a_withdrawal(folder: Path) -> None:
         assert f"[a new run](#/experiments/{new.info.experiment_id}/runs/{new.info.run_id}" in note
         assert note.count("Superseded") == 1
         assert f"**Withdrawn**: {withdrawal}." in new.data.tags[NOTE]
-    client.delete_run(old.info.run_id)
+    tags = {"hash": study(0).hash, "outcome": "superseded"}
+    later = client.create_run(new.info.experiment_id, tags=tags)  # as if the clock had been set back
+    assert f"/runs/{new.info.run_id}" in Runs(uri(folder), "simbias", folder).page(study(0).hash)
+    for each in (old, later):
+        client.delete_run(each.info.run_id)
     after = pages(uri(folder))
     assert exported_again(folder) == after
     assert {each["status"] for each in after.values()} == {"FINISHED"}
