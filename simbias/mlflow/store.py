@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import logging
 import os
 import re
 import shutil
@@ -12,6 +13,8 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
 
 from simbias.core.errors import ConfigError
 from simbias.core.extras import silent
@@ -43,6 +46,10 @@ MOVED = (
     "was moved or copied: its files are in {}; delete it, and make it again with `export`, "
     "its tracking.uri and tracking.trials"
 )
+LOCAL = (
+    "simbias: MLflow: files of runs go to %s on this machine, where other machines do not find them; "
+    "several machines need tracking.uri=http://..., an MLflow server"
+)
 MAKING_SECONDS = 120.0  # that a process waits while another creates the same store
 
 
@@ -54,7 +61,10 @@ def connect(uri: str, experiment: str) -> tuple[MlflowClient, str]:
     with reaching(uri):
         artifacts = _probe_database(uri)
         client = client_of(uri)
-        return client, _experiment_id(client, experiment, artifacts)
+        identity = _experiment_id(client, experiment, artifacts)
+        if _is_database_server(uri):
+            _tell_where_files_go(client.get_experiment(identity).artifact_location)
+        return client, identity
 
 
 def file_number(file: Path | None) -> int:
@@ -85,6 +95,18 @@ def reaching(uri: str) -> Iterator[None]:
 def is_server(uri: str) -> bool:
     """Whether a store is a server, which may be temporarily unreachable."""
     return uri.startswith(("http://", "https://"))
+
+
+def _is_database_server(uri: str) -> bool:
+    """Whether a store is a database on a server, which holds no files."""
+    return re.split(r"[:+]", uri)[0] in DATABASE_SERVERS
+
+
+def _tell_where_files_go(location: str) -> None:
+    """Log a line if an experiment's files lie in a folder that this machine does not have yet."""
+    place = urlsplit(location)
+    if place.scheme in ("", "file") and not Path(url2pathname(place.path)).is_dir():
+        logging.getLogger(__name__).warning(LOCAL, location)
 
 
 def client_of(uri: str) -> MlflowClient:
@@ -132,7 +154,7 @@ def _probe_database(uri: str) -> str | None:
     """Fail at once where MLflow would retry for minutes; return the place for a SQLite store's files."""
     path = database(uri)
     if path is None:
-        if re.split(r"[:+]", uri)[0] in DATABASE_SERVERS:
+        if _is_database_server(uri):
             import sqlalchemy
 
             sqlalchemy.create_engine(uri).connect().close()

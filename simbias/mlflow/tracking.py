@@ -25,8 +25,8 @@ class Mlflow(Tracking):
     Parameters
     ----------
     uri
-        MLflow's store: a database, or a server's address. The artifacts of a SQLite store lie in
-        `mlartifacts` beside it.
+        MLflow's store: a database or, for several machines, a server's address. The artifacts of a SQLite
+        store lie in `mlartifacts` beside it; those of another database in a folder of one machine.
     experiment
         MLflow's experiment, which holds the runs; created if necessary.
     pictures

@@ -73,6 +73,20 @@ def test_its_files_lie_beside_it(
     assert "MLFLOW_HTTP_REQUEST_MAX_RETRIES" not in os.environ
 
 
+def test_a_database_on_a_server_says_where_files_go(
+    new_store: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Once: when the experiment is made, or on a machine that does not have the folder."""
+    shutil.copy(new_store, folder)
+    monkeypatch.setattr(store, "DATABASE_SERVERS", ("sqlite",))
+    monkeypatch.setattr(store, "database", lambda _: None)
+    for _ in range(2):
+        client, experiment_id = store.connect(uri(folder), "mine")
+        client.log_text(client.create_run(experiment_id).info.run_id, "", "file")
+    (line,) = [each.getMessage() for each in caplog.records]
+    assert f"files of runs go to {folder}/mlruns/{experiment_id} on this machine" in line
+
+
 def unusable(folder: Path, new_store: Path) -> Iterator[tuple[str, str]]:
     """Addresses and what is said of them."""
     (folder / "text").write_text("no database " * 100)
