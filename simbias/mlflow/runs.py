@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 URI, EXPERIMENT = "sqlite:///mlflow.db", "simbias"  # defaults
 EXPORT_LOCK = ".export.lock"  # in a folder, while its run is written
-AWAY = "simbias: MLflow: %s. All is kept in %s; once the store is back, show it with:  %s"
+AWAY = "simbias: MLflow: %s. All is kept in %s; once the store works, show it with:  %s"
 NOT_EXPORTED = "simbias: MLflow does not show a trial: %s"
 
 OUTDATED = "outcome", "superseded"  # tag of a run whose trial has a later one
@@ -217,7 +217,7 @@ class RunExport(Export):
     def where(self) -> str:
         """How to view the run; if the store is unreachable, its folder and how to export it later."""
         if self.runs.away:
-            return f"{self.path}; in MLflow, once the store is back:  {self.runs.export_command}"
+            return f"{self.path}; in MLflow, once the store works:  {self.runs.export_command}"
         identity = self.path.name.rpartition("_")[2]  # a sweep's name comes before its hash
         return self.runs.address(identity, self.run_id) if self.run_id else str(self.path)
 

@@ -379,9 +379,9 @@ def test_a_server_that_is_away_loses_nothing_and_stops_nothing(
     (warning,) = [each.getMessage() for each in caplog.records]
     assert f"{address}: " in warning
     command = f"-m simbias export tracking.uri={address} tracking.trials={trials}"
-    assert shown.where.startswith(f"{at(folder, 0)}; in MLflow, once the store is back:  ")
+    assert shown.where.startswith(f"{at(folder, 0)}; in MLflow, once the store works:  ")
     assert shown.where.endswith(command)
-    assert f"All is kept in {trials}; once the store is back, show it with:  " in warning
+    assert f"All is kept in {trials}; once the store works, show it with:  " in warning
     assert warning.endswith(command)
     with pytest.raises(ConfigError, match=rf"^tracking\.uri: {address}: "):
         export(address, trials)
