@@ -35,6 +35,8 @@ def locked(path: Path, timeout: float, taken: ConfigError) -> Iterator[None]:
         lock.acquire(timeout=timeout)
     except Timeout as error:
         raise taken from error
+    except FileExistsError as error:
+        raise ConfigError(str(error.filename), "is no folder, or a link to a missing one") from error
     except OSError as error:
         raise ConfigError(str(path.parent), f"cannot be written ({error.strerror})") from error
     try:

@@ -552,6 +552,9 @@ def test_a_folder_that_cannot_be_written_is_one_line(
     assert path.read_bytes() == b"old"
     with pytest.raises(ConfigError, match=r"file.*cannot be written"):
         run_trial(short, path / "trial")
+    (tmp_path / "link").symlink_to("missing")
+    with pytest.raises(ConfigError, match=r"link: is no folder, or a link to a missing one$"):
+        run_trial(short, tmp_path / "link" / "trial")
 
 
 @pytest.mark.slow
