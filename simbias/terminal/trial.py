@@ -258,9 +258,13 @@ class TrialConsole(Observer):
             say(self._console, f"{withdrawal}.", "yellow")
         for finding in summary.findings:
             say(self._console, finding)
-        if record.unfinished:
-            made = "  ".join(map(self._experiment_text, record.unfinished))
-            say(self._console, f"Experiments of an unfinished iteration: {made.strip()}.")
+        drawn = 0 if record.iterations else record.study.method.random_experiments
+        for what, made in (
+            ("Random experiments", record.unfinished[:drawn]),
+            ("Experiments of an unfinished iteration", record.unfinished[drawn:]),
+        ):
+            if made:
+                say(self._console, f"{what}: {'  '.join(map(self._experiment_text, made)).strip()}.")
         if where:
             say(self._console, f"Look at it:  {where}")
 

@@ -79,6 +79,20 @@ def test_failure_exits_1_and_says_why(line: Any, tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.usefixtures("uncompiled")
+def test_random_experiments_are_named(line: Any) -> None:
+    """They are of no policy."""
+    pendulum = [
+        "preset=[pendulum_swingup,scratch]",
+        "budget.experiments=1",
+        "tracking=none",
+    ]
+    status, out, _ = line(*pendulum)
+    assert status == 1
+    assert re.search(r"^Random experiments: [\d.]+ \(6\.00 s\)\.$", out, re.MULTILINE)
+    assert "unfinished" not in out
+
+
 def test_bad_input_exits_2_with_one_line(line: Any, tmp_path: Path) -> None:
     """Also a name that no system takes, and columns that are nested too deeply."""
     for arguments, said in (
