@@ -82,7 +82,7 @@ def test_comparisons_numbers_are_those_of_the_trials() -> None:
     assert lasts in picture.caption
     assert picture.caption.endswith(
         " Policies hold most often with ideal 3 of 3 (44% to 100%); Wilson intervals are over cells, or the "
-        "policies of one."
+        "policies of one. p in the table: sign tests against LQI, Holm-corrected."
     )
     picture_of_two = Comparison("method").draw(made_up({"ideal": [half, all_of_16, all_of_16]}), ())
     (curve,) = picture_of_two.figure.axes[-1].lines
