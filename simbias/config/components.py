@@ -109,11 +109,13 @@ def constructor_parameters(component: Any) -> Mapping[str, inspect.Parameter]:
 def _schema(component: Any, provided: frozenset[str]) -> TypeAdapter:
     """The schema of a constructor's arguments, except provided ones."""
     parameters = constructor_parameters(component)
-    declared = dataclasses.fields(component) if dataclasses.is_dataclass(component) else ()
-    generated = parameters.keys() <= {
-        field.name for field in declared
-    }  # inherited fields are hints elsewhere
-    hints = get_type_hints(component if generated else component.__init__, include_extras=True)
+    generated = dataclasses.is_dataclass(component) and parameters.keys() <= {
+        field.name for field in dataclasses.fields(component)
+    }
+    try:  # inherited fields may name what only another module imports
+        hints = get_type_hints(component if generated else component.__init__, include_extras=True)
+    except NameError:  # perhaps of an attribute that is no parameter
+        hints = get_type_hints(component.__init__, include_extras=True)
     fields = {
         name: (Required if parameter.default is parameter.empty else NotRequired)[hints.get(name, Any)]
         for name, parameter in parameters.items()

@@ -144,6 +144,22 @@ def test_an_own_dataclass_may_extend_a_shipped_one(project: Path) -> None:
         simbias.load([*values, "method.more=much"], project / "conf", allow=["mine"])
 
 
+def test_annotations_that_are_no_parameters_may_be_for_type_checkers(project: Path) -> None:
+    """As of attributes, or of a dataclass' fields that its constructor does not take."""
+    own = ("from __future__ import annotations", "from dataclasses import dataclass, field")
+    plain = ("from simbias.learning.bias.none import NoBias", "class Plain(NoBias):", "    kept: Unknown")
+    fields = (
+        "@dataclass",
+        "class Fields(Plain):",
+        "    more: float = 1.0",
+        "    other: Unknown = field(init=False)",
+    )
+    (project / "hints.py").write_text("\n".join([*own, *plain, *fields]))
+    for name, more in (("Plain", []), ("Fields", ["+bias.more=2"])):
+        values = ["bias=none", f"bias._target_=hints.{name}", *more, "tracking=none"]
+        assert type(simbias.load(values, project / "conf", allow=["hints"]).bias).__name__ == name
+
+
 EXITS = "raise SystemExit(7)"
 CANCELLED = "import asyncio\nraise asyncio.CancelledError('late')"
 CONSTRUCTOR = CLASS.replace(" ...", "\n    def __init__(self{}) -> None: {}")
