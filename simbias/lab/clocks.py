@@ -79,5 +79,6 @@ def _set_at(arrivals: Array, times: Array) -> Array:
     back = (steps < 0) & (least[after] - most[before] > least_step)
     # Of messages that were held up and arrive at once, header times do not jump.
     ahead = (steps > np.median(steps) + UNEQUAL) & (least[before] - most[after] > least_step)
+    ahead[: LASTING - 1] = False  # a first message may be old, as of a latched topic
     at: Indices = np.flatnonzero(back | ahead) + 1
     return arrivals[at]
