@@ -29,6 +29,7 @@ class Spending:
 
     budget: Budget = NO_LIMITS
     experiments: int = 0
+    frames: int = 0
     seconds: float = 0.0
 
     def check(self) -> None:
@@ -37,7 +38,8 @@ class Spending:
         if self.experiments >= limits[0] or self.seconds >= limits[1]:
             raise BudgetSpent
 
-    def add(self, seconds: float) -> None:
-        """Count an experiment of this many seconds."""
+    def add(self, frames: int, time_step: float) -> None:
+        """Count an experiment of this many frames."""
         self.experiments += 1
-        self.seconds += seconds
+        self.frames += frames
+        self.seconds = time_step * self.frames  # as in summaries; a sum of durations would be rounded

@@ -192,7 +192,7 @@ class Study:
         with self.checked_hardware.whole():
             made = self.checked_hardware.run(self.policy, theta, begin, rng).read_only()
             rollout = replace(self._judged(made, theta), given_start=start is not None)
-            self.spending.add(rollout.frames * self.task.time_step)
+            self.spending.add(rollout.frames, self.task.time_step)
             watching.experimented(rollout)
         return rollout
 

@@ -12,7 +12,7 @@ from conftest import OWN_CONF, POINT_MASS
 import simbias
 from simbias.core import Hardware
 from simbias.core.records import Iteration, Rollout
-from simbias.trial.budget import Budget
+from simbias.trial.budget import Budget, BudgetSpent, Spending
 from simbias.trial.claim import ERROR, claim_of, error_of, passes_for
 from simbias.trial.folder import TrialFolder
 from simbias.trial.method import Method
@@ -76,6 +76,16 @@ def test_claims_are_wrong_at_most_as_often_as_they_say() -> None:
 def test_a_trial_that_does_not_succeed_claims_nothing(point_mass: Study) -> None:
     record = run_trial(replace(point_mass, method=ModelBased(max_iterations=1), hardware=Fickle(0.0)))
     assert (record.summary.claim, np.isnan(record.summary.claimed_share)) == ("", True)
+
+
+def test_seconds_that_are_spent_to_the_last_allow_no_more() -> None:
+    """A sum of ten times 0.1 s in floating point is less than 1 s."""
+    spent = Spending(Budget(seconds=1.0))
+    for _ in range(10):
+        spent.check()
+        spent.add(1, 0.1)
+    with pytest.raises(BudgetSpent):
+        spent.check()
 
 
 def spending(study: Study, budget: Budget) -> Study:
