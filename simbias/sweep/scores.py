@@ -60,10 +60,12 @@ class Method:
         scores, units = self.matrix(self.tried), int(np.isfinite([*self.holding.values()]).sum())
         if units == 1:
             units = self.trials.loc[self.trials[HOLDS].notna(), "policy"].nunique()
-        different = self.trials.drop_duplicates("policy")
-        low, high = bootstrap(
-            interquartile_mean, different[[SCORE]].to_numpy().T if len(self.tried) == 1 else scores
-        )
+        if len(self.tried) == 1:  # then policies are resampled, each with all its trials
+            alike = self.trials.groupby("policy", sort=False)[SCORE]
+            resampled = pd.concat([own.reset_index(drop=True) for _, own in alike], axis=1).to_numpy()
+        else:
+            resampled = scores
+        low, high = bootstrap(interquartile_mean, resampled)
         least, most = wilson(units * held / max(judged, 1), units)
         return {
             "method": name,

@@ -97,6 +97,14 @@ def test_comparisons_numbers_are_those_of_the_trials() -> None:
     )
     of_policies = Comparison("method").draw(replace(two, table=six.assign(policy=list("abcdef"))), ())
     assert of_policies.numbers["share_low"].item() < 0.5 < of_policies.numbers["share_high"].item()
+    good, bad = (six.assign(test_episodes=each, lasting_episodes="") for each in (all_of_16, fallen))
+    mostly = pd.concat([bad, bad, *[good] * 6])
+    policies = [*map(str, range(12)), *["a"] * 36]
+    mostly = mostly.assign(policy=policies, repetition=range(48))
+    own = Comparison("method").draw(replace(two, table=mostly), ()).numbers.iloc[0]
+    assert (
+        own["share_low"] < own["share"] == own["share_high"] == 1.0
+    )  # policies are resampled with all trials
     assert "with its 95% bootstrap interval over cells, or the policies of one. Below" in of_policies.caption
     for axes in alike.figure.axes[-2:]:
         one, *others = (line.get_transform().transform(line.get_xydata()) for line in axes.lines)
@@ -117,6 +125,7 @@ def test_comparisons_numbers_are_those_of_the_trials() -> None:
     crashed = Comparison("method", ["LQR"]).draw(made_up({"LQR": [""] * 3, "ideal": [half] * 3}), ())
     assert crashed.numbers["method"].tolist() == ["ideal"]
     assert crashed.caption.endswith(" All trials of LQR are left out.")
+    assert "sign tests" not in Comparison("method", ["LQI"]).draw(made_up({"LQI": [half] * 3}), ()).caption
     later = {"LQI": ["-", all_of_16, all_of_16], "ideal": ["-", "1" * 15, all_of_16], "LQR": ["1" * 15] * 3}
     partly = Comparison("method", ["LQI", "LQR"]).draw(made_up(later), ())
     numbers = partly.numbers.set_index("method")

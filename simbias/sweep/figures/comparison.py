@@ -94,7 +94,7 @@ class Comparison(SweepFigure):
         curves = {name: own[name] for name in (self._curves or [*own][:MOST]) if name in own}
         figure = _figure(own, numbers, curves, apart)
         caption = _caption(numbers, trials.sweep)
-        if compared := [name for name in self._references if name in own]:
+        if compared := [name for name in self._references if name in own and numbers[f"p {name}"].any()]:
             caption += f" p in the table: sign tests against {' and '.join(compared)}, Holm-corrected."
         if len(curves) < len(own):
             caption += f" Curves are of {len(curves)} of {len(own)} methods."
