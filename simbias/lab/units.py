@@ -21,8 +21,11 @@ _SPELLED = {  # in any case, by regular expressions
     "deg(ree)?s?": "deg",
     "rad(ian)?s?": "rad",
     "met(er|re)s?": "m",
-    "sec(onds?)?$": "s",
+    "sec(ond)?s?$": "s",
+    "centi": "c",
     "milli": "m",
+    "micro": "u",
+    "nano": "n",
     "rpm": "rpm",
 }
 KINDS = (_ANGLE, _LENGTH, _TIME, _TORQUE, _FORCE, _OTHERS, _VOLTAGE, _RATES, _SPEEDS)

@@ -16,6 +16,7 @@ from simbias.core import HardwareError
 from simbias.core.errors import ConfigError
 from simbias.core.records import Rollout
 from simbias.core.table import read_table
+from simbias.lab.clocks import cuts
 from simbias.lab.recorded import ENDS, Recorded
 from simbias.lab.recording import Reader, Recording
 from simbias.lab.units import factor
@@ -66,6 +67,9 @@ def test_factors_between_units() -> None:
     assert factor("Deg/s", "rad/s") == factor("degrees", "radians") == factor("deg", "rad")
     assert factor("RPM", "rad/s") == factor("rpm", "rad/s")
     assert factor("milliseconds", "s") == factor("millimetres", "m") == 1e-3
+    assert factor("microsec", "s") == 1e-6
+    assert factor("Nanoseconds", "s") == 1e-9
+    assert factor("centimeters", "m") == 1e-2
     assert factor("anything", "anything") == 1.0
     with pytest.raises(ValueError, match=r"cannot be in deg; expected one of rad/s, mrad/s, deg/s"):
         factor("deg", "rad/s")
@@ -494,6 +498,16 @@ def test_a_clock_that_is_set_cuts_all_topics(
         np.testing.assert_allclose(piece.states[:-1], rollout.states[frames], atol=5e-3)
         held = rollout.inputs[np.arange(begin, begin + piece.frames) // 2 * 2]
         np.testing.assert_allclose(piece.inputs, held, atol=5e-3)
+
+
+def test_an_old_first_message_is_no_clock_that_was_set() -> None:
+    """A latched topic repeats its last message at the start."""
+    arrivals = 0.01 * np.arange(50)
+    old = arrivals - 0.001
+    old[0] = -50.0
+    assert len(cuts({"/state": arrivals}, {"/state": old})) == 0
+    old[25:] += 3.0
+    np.testing.assert_allclose(cuts({"/state": arrivals}, {"/state": old}), [[0.25, 0.25]])
 
 
 def test_a_bag_that_is_none_is_one_line(study: Study, tmp_path: Path) -> None:
