@@ -127,8 +127,8 @@ def identify(request: Request, attach: bool = False) -> bool:
     tell(console, assessment, excitation)
     say(console, f"Look at it:  {request.folder / 'report.html'}")
     again = f"--config-dir {request.configs} {GROUP}={request.option.stem}"
-    begin = f"Start a trial with it:  {again}  " if assessment.better else "Its option is not to be used:  "
-    say(console, f"{begin}({request.option})")
+    begin = f"Start a trial with it:  {again}" if assessment.better else "Start no trial with it"
+    say(console, f"{begin}  ({request.option})")
     if attach and not assessment.trusted:
         anyway = "; the line above starts one anyway" if assessment.better else ""
         say(console, f"No trial is started, as no parameter is trusted{anyway}.")

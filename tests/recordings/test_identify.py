@@ -674,7 +674,7 @@ def test_the_command_tells_and_writes(
     assert main([*files, "--attach", "--held-out", "two.csv", *overrides]) == 1
     out = capsys.readouterr().out
     assert "Do not use it." in out
-    assert "Its option is not to be used:  (identified/conf/identification/identified.yaml)\n" in out
+    assert "Start no trial with it  (identified/conf/identification/identified.yaml)\n" in out
     assert "No trial is started, as no parameter is trusted.\n" in out
     assert "Next: No trajectory is proposed (it would rely on the identified model" in out
     for wrong, said in (
