@@ -62,9 +62,9 @@ class Interruption:
 
     def __enter__(self) -> Interruption:
         if threading.current_thread() is threading.main_thread():  # no other receives signals
-            numbers = [signal.Signals[name] for name in SIGNALS if hasattr(signal, name)]
-            ignored = (n for n in numbers if n.name == "SIGHUP" and signal.getsignal(n) == signal.SIG_IGN)
-            self._before = {n: signal.signal(n, self._handle) for n in {*numbers} - {*ignored}}
+            for number in (getattr(signal, name) for name in SIGNALS if hasattr(signal, name)):
+                if number.name != "SIGHUP" or signal.getsignal(number) != signal.SIG_IGN:
+                    self._before[number] = signal.signal(number, self._handle)
             self._report, sys.unraisablehook = sys.unraisablehook, self._ignored
         return self
 

@@ -37,9 +37,9 @@ class SweepFolder:
     def begin(self, description: Mapping[str, Any]) -> None:
         """Write sweep.json; `started` (s since the epoch) stays that of the first start."""
         self.path.mkdir(parents=True, exist_ok=True)
-        known = self.description() if (self.path / SWEEP).exists() else {"started": time.time()}
-        started = {key: known[key] for key in known.keys() & {"started"}}  # earlier folders have none
-        write_json(self.path / SWEEP, {**description, **started})
+        begun = (self.path / SWEEP).exists()
+        started = self.description().get("started") if begun else time.time()  # None in earlier folders
+        write_json(self.path / SWEEP, {**description, "started": started})
 
     def description(self) -> dict[str, Any]:
         """The content of sweep.json."""

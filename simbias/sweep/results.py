@@ -2,7 +2,8 @@
 
 It has a row for each trial, with a column for each of the sweep's axes and `hash`, `repetition`, `seed`,
 `outcome` (`succeeded`, `not succeeded` or `error`), `experiments` (hardware experiments until success;
-without success the method's maximum, 2 x N_out = 20 by Table I), `iterations` (the same for these), `seconds`
+without success the most that method and budget allow, 2 x N_out = 20 by Table I, or those made if the
+budget's seconds were spent), `iterations` (until success; without success the method's maximum), `seconds`
 (wall time), `hardware_seconds` (duration of the experiments, even without success) and `raised` (its error).
 `policy` is a digest of its last policy's parameters. If that was tested, `test_episodes` has a 1 for each
 successful episode and a 0 for each other, and `lasting_episodes` a 1 for each that lasts to its own end;

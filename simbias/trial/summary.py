@@ -100,7 +100,7 @@ class TrialSummary:
 
     @property
     def experiments_until_success(self) -> float:
-        """Experiments until success; without success the method's maximum; nan if the trial has not ended."""
+        """Experiments until success; without success `max_experiments`; nan if the trial has not ended."""
         return self._until_success(self.experiments, self.max_experiments)
 
     @property
