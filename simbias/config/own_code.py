@@ -75,7 +75,11 @@ def _with_imported(module: str) -> Iterator[tuple[str, Path]]:
 def _imports(module: str, file: Path) -> Iterator[str]:
     """The names imported in a module's text: modules, and possibly their members."""
     package = module if file.name == "__init__.py" else module.rpartition(".")[0]
-    for node in ast.walk(ast.parse(file.read_bytes())):
+    try:
+        tree = ast.parse(file.read_bytes())
+    except SyntaxError:  # edited since its import
+        return
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):

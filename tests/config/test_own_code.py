@@ -70,6 +70,8 @@ def test_digests_are_of_own_modules_and_what_they_import_beside(
     (folder / "my_gains.py").write_text("GAIN = 1.0\n")
     assert digests(config) == before
     assert caplog.text.count("edited") == 2
+    (folder / "my_hardware.py").write_text("half of a li(")
+    assert digests(config).keys() == {"my_hardware"}
     assert digests(simbias.load(["tracking=none"]).config) == {}
 
 
