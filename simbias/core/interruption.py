@@ -58,6 +58,7 @@ class Interruption:
 
     def __init__(self) -> None:
         self._came = False
+        self._hung_up = False
         self._before: dict[signal.Signals, Any] = {}  # handlers
 
     def __enter__(self) -> Interruption:
@@ -77,7 +78,15 @@ class Interruption:
             raise KeyboardInterrupt from error
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
-        """Interrupt now, or note it for later."""
+        """Interrupt now, or note it for later.
+
+        If a terminal closes, both its shell and the kernel send SIGHUP. The second one would interrupt the
+        `finally` that brings a robot to rest, so it is ignored.
+        """
+        if signal.Signals(number).name == "SIGHUP":
+            if self._hung_up:
+                return
+            self._hung_up = True
         self._came = True
         if _deferral is not None and _deferral.begun():
             _deferral.interrupted = True

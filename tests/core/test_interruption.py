@@ -83,13 +83,24 @@ def test_what_is_deferred_within_another_ends_neither() -> None:
     assert reached == ["inner", "outer"]
 
 
+def hung_up_twice(at_rest: list[bool]) -> None:
+    """As by a shell and by the kernel."""
+    try:
+        signal.raise_signal(signal.SIGHUP)
+    finally:
+        signal.raise_signal(signal.SIGHUP)
+        at_rest.append(True)
+
+
 def test_a_terminal_that_closes_interrupts_but_not_what_ignores_it() -> None:
     """As a program after nohup does."""
     before = signal.getsignal(signal.SIGHUP)
     try:
         signal.signal(signal.SIGHUP, signal.SIG_DFL)
+        at_rest: list[bool] = []
         with pytest.raises(KeyboardInterrupt), Interruption():
-            signal.raise_signal(signal.SIGHUP)
+            hung_up_twice(at_rest)
+        assert at_rest
         assert signal.getsignal(signal.SIGHUP) == signal.SIG_DFL
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
         with Interruption():
