@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -205,11 +205,7 @@ def assess(
         models = alone[::-1] if len(all_parts) == 2 else [fit(each, each.name) for each in rest]
     one = not kept and len(recordings) == 1  # its parts share its specific parameters
     models = [model.of_recording(0) if one else model.elsewhere() for model in models]
-    own = []
-    if not one and any(parameter.of_recording for parameter in identified.parameters):
-        for part, model in zip(judged, models, strict=True):
-            progress(f"what is specific to {part.name}")
-            own += _with_own(model, posterior, study.nominal, part)
+    own = [] if one else [*_with_own(models, posterior, study.nominal, judged, progress)]
     pairs = zip(alone, rest, strict=True)
     learned = [(model.elsewhere(), apart.rollouts) for model, apart in pairs] if kept else []
     assessment = Assessment(
@@ -232,19 +228,26 @@ def assess(
 
 
 def _with_own(
-    model: Identified, posterior: Posterior, nominal: Nominal, part: Part
-) -> list[tuple[Identified, tuple[Rollout, ...]]]:
-    """The model, its specific parameters fitted to each recording of a part; shared ones stay unchanged."""
-    own = np.diag([float(parameter.of_recording) for parameter in model.parameters])
-    fitting = posterior.with_known(replace(model.known, spread=own.tolist()))
-    made = []
-    for name in dict.fromkeys(part.recordings):
-        pairs = zip(part.rollouts, part.recordings, strict=True)
-        pieces = tuple(rollout for rollout, each in pairs if each == name)
-        fitted = fitting.fit(nominal, pieces, [name] * len(pieces))
-        assert isinstance(fitted, Identified)
-        made.append((fitted.with_spread(np.hstack([model.spread - own, fitted.spread])), pieces))
-    return made
+    models: Sequence[Identified],
+    posterior: Posterior,
+    nominal: Nominal,
+    parts: Sequence[Part],
+    progress: Callable[[str], object],
+) -> Iterator[tuple[Identified, tuple[Rollout, ...]]]:
+    """Each part's model, its specific parameters fitted to each of the part's recordings; others unchanged.
+
+    None without specific parameters.
+    """
+    own = np.diag([float(parameter.of_recording) for parameter in models[0].parameters])
+    for model, part in zip(models, parts, strict=True) if own.any() else ():
+        progress(f"what is specific to {part.name}")
+        fitting = posterior.with_known(replace(model.known, spread=own.tolist()))
+        for name in dict.fromkeys(part.recordings):
+            pairs = zip(part.rollouts, part.recordings, strict=True)
+            pieces = tuple(rollout for rollout, each in pairs if each == name)
+            fitted = fitting.fit(nominal, pieces, [name] * len(pieces))
+            assert isinstance(fitted, Identified)
+            yield fitted.with_spread(np.hstack([model.spread - own, fitted.spread])), pieces
 
 
 def _check_length(posterior: Posterior, all_parts: Sequence[Part]) -> None:

@@ -19,6 +19,11 @@ class Budget:
     experiments: Count | None = None
     seconds: Seconds | None = None  # once they are spent, no experiment begins
 
+    def spent(self, experiments: int, seconds: float) -> list[str]:
+        """The limits, by name, that allow no more than this many experiments and seconds."""
+        made = {"experiments": experiments, "seconds": seconds}
+        return [name for name, amount in made.items() if amount >= (getattr(self, name) or inf)]
+
 
 NO_LIMITS = Budget()
 
@@ -34,8 +39,7 @@ class Spending:
 
     def check(self) -> None:
         """Raise BudgetSpent if the budget is spent; called before steps that lead to an experiment."""
-        limits = self.budget.experiments or inf, self.budget.seconds or inf
-        if self.experiments >= limits[0] or self.seconds >= limits[1]:
+        if self.budget.spent(self.experiments, self.seconds):
             raise BudgetSpent
 
     def add(self, frames: int, time_step: float) -> None:

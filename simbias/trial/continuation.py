@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator, Mapping
-from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -80,10 +79,9 @@ def _spent(study: Study, summary: TrialSummary) -> Iterator[str]:
     """The keys of limits that allow no more than an earlier trial has made."""
     if summary.iterations >= study.method.max_iterations:
         yield "method.max_iterations"
-    if summary.experiments >= (study.budget.experiments or inf):
-        yield "budget.experiments"
-    if summary.hardware_seconds >= (study.budget.seconds or inf):
-        yield "budget.seconds"
+    yield from (
+        f"budget.{limit}" for limit in study.budget.spent(summary.experiments, summary.hardware_seconds)
+    )
 
 
 def _apart_from_limits(study: Study) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import logging
 import time
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
-from math import inf, nan
+from math import nan
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
@@ -234,14 +234,15 @@ class _Run(Observer):
         before = self._kept.folder if self._kept else None
         remarks = diagnostics.of_trial(self._iterations, self._study)
         claim = claim_of(self._iterations[-1]) if outcome is Outcome.SUCCEEDED else None
-        made, limit = len(self._made), self._study.budget.seconds or inf
+        made = len(self._made)
         seconds = self._study.task.time_step * sum(rollout.frames for rollout in self._made)
+        timed_out = "seconds" in self._study.budget.spent(made, seconds)
         summary = TrialSummary(
             outcome=outcome,
             reason=reason,
             experiments=made,
             iterations=len(self._iterations),
-            max_experiments=made if seconds >= limit else self._study.max_experiments,
+            max_experiments=made if timed_out else self._study.max_experiments,
             max_iterations=method.max_iterations,
             ended=time.time(),
             seconds=time.perf_counter() - self._clock + (self._kept.seconds_before if self._kept else 0.0),
