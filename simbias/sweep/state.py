@@ -33,7 +33,7 @@ DAMAGED = "simbias: %s; the trial counts as unfinished"
 MIXED = "simbias: trials of this sweep are from %d platforms, so their last bits may differ: %s"
 PART = (
     "simbias: running %d of the %d trials of %s: its tables, figures and page still show all. To show only "
-    "these, delete that folder; the trials have their own"
+    "these, delete that folder; trials are kept in other folders"
 )
 LOSES = "simbias: %s drops %d of its %d trials, which are no longer part of the sweep; their folders stay"
 MEANWHILE = (
