@@ -223,6 +223,14 @@ class Hardware(ABC):
 
     sets_start: bool = True  # whether an experiment begins at the requested start; else where the robot is
 
+    @property
+    def concurrent(self) -> bool:
+        """Whether trials may run at the same time, in processes that may be killed: not if `stop` has to act.
+
+        A class whose `stop` ends a simulation sets `concurrent = True`.
+        """
+        return type(self).stop is Hardware.stop
+
     @abstractmethod
     def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
         """Run one experiment with theta (p,); the rollout's cost and parameters are not set.

@@ -40,6 +40,7 @@ class Engine(ABC):
     """Runs the trials of a sweep."""
 
     shares_disk: bool = True  # whether all workers see the files of this process
+    has_workers: bool = True  # whether trials run in other processes, which may be killed
 
     @abstractmethod
     def run(

@@ -45,6 +45,7 @@ class Loky(Engine):
 
     def __init__(self, n_jobs: Workers = 2) -> None:
         self.n_jobs = n_jobs
+        self.has_workers = n_jobs > 1
 
     def run(
         self, function: Callable[[T], R], tasks: Sequence[T], code: Callable[[], bytes] = bytes

@@ -8,7 +8,9 @@ from simbias.engine.contract import Engine, R, Results, T
 
 
 class Sequential(Engine):
-    """One task after the other, in this process: for debugging and comparison."""
+    """One task after the other, in this process: for robots, debugging and comparison."""
+
+    has_workers = False
 
     def run(
         self, function: Callable[[T], R], tasks: Sequence[T], code: Callable[[], bytes] = bytes

@@ -32,6 +32,11 @@ from simbias.trial.policy_test import NO_TEST
 from simbias.trial.study import Study
 from simbias.trial.summary import Outcome
 
+NOT_CONCURRENT = (
+    "has workers, which would move {0} at once and be killed without its stop(): use engine=sequential (or, "
+    "if {0} is a simulation, set its attribute concurrent = True)"
+)
+
 
 def run(
     overrides: Sequence[str],
@@ -50,7 +55,7 @@ def run(
         raise ConfigError("sweep", "missing: +sweep=NAME names one")
     trials_engine: Engine = service(composition, "engine", Engine)
     store: Tracking = service(composition, "tracking", Tracking)
-    sweep, ended = prepare(store, variations)
+    sweep, ended = prepare(store, variations, trials_engine)
     if sweep.dry_run:
         return ended
     own = {"config_dir": config_dir and str(config_dir), "allow": list(allow)}
@@ -59,7 +64,7 @@ def run(
     return run_sweep(sweep, trials_engine, store, again, observer)[0]
 
 
-def prepare(store: Tracking, variations: Variations) -> tuple[Sweep, DataFrame]:
+def prepare(store: Tracking, variations: Variations, trials_engine: Engine) -> tuple[Sweep, DataFrame]:
     """The sweep, and its finished trials.
 
     Checks that the components of every cell can be built and that its method accepts them; a ConfigError says
@@ -87,6 +92,9 @@ def prepare(store: Tracking, variations: Variations) -> tuple[Sweep, DataFrame]:
             problem = f"is 0, but sweep.figures.{name} shows tests of the last policies"
             raise ConfigError("policy_test.episodes", problem)
     if len(ended) < len(sweep.trials) and not sweep.dry_run:
+        for study in studies.values():
+            if trials_engine.has_workers and not study.hardware.concurrent:
+                raise ConfigError("engine", NOT_CONCURRENT.format(type(study.hardware).__name__))
         for study in studies.values():  # compiled here once; workers find it in the cache
             rehearse(study)
     return sweep, ended

@@ -47,7 +47,7 @@ def run(variations: Variations, composition: Composition, again: str) -> int:
     trials_engine: Engine = service(composition, "engine", Engine)
     store: Tracking = service(composition, "tracking", Tracking)
     with preparing(), slowness_in_one_line():
-        sweep, finished = running.prepare(store, variations)
+        sweep, finished = running.prepare(store, variations, trials_engine)
     if sweep.dry_run:
         dry_run(sweep, finished, trials_engine)
         return SUCCEEDED

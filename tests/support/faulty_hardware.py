@@ -171,6 +171,8 @@ FAULTS = (
 class Faulty(Hardware):
     """The simulated robot: all its experiments but the first meet a fault, in whatever process."""
 
+    concurrent = True  # its stop() moves nothing
+
     def __init__(self, task: Task, fault: str = "none") -> None:
         self._robot = PymunkBongoboard(task)  # type: ignore[arg-type]
         self._fault = fault

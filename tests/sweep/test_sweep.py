@@ -348,22 +348,26 @@ def test_bad_input_runs_nothing(folder: Path, capsys: pytest.CaptureFixture[str]
 
 
 IN_NUMPY = """
-from point_mass import WithoutWind
+from point_mass import InTheWind, WithoutWind
 
 class Walled(WithoutWind):
     def step(self, x, u):
         if (x[..., 0] > 1e6).any():
             raise ValueError("through the wall")
         return super().step(x, u)
+
+class Stoppable(InTheWind):
+    def stop(self):
+        pass
 """
 
 
 def test_own_components_are_swept(folder: Path) -> None:
     conf = folder / "conf"
     shutil.copytree(OWN_CONF, conf)
-    write(
-        conf, {"components.yaml": "allow: [point_mass]\n", "nominal/walled.yaml": "_target_: walled.Walled\n"}
-    )
+    components = {"nominal/walled": "walled.Walled", "hardware/robot": "walled.Stoppable\nwind: 2.0"}
+    write(conf, {f"{name}.yaml": f"_target_: {target}\n" for name, target in components.items()})
+    write(conf, {"components.yaml": "allow: [point_mass]\n"})
     write(folder, {"walled.py": IN_NUMPY})
     axes = "{hardware.wind: [1.0, 2.0], nominal: [walled, point_mass]}"
     write_sweep(folder, "wind", f"sweep: {{trials: 1, figures: {{}}, axes: {axes}, common_seeds: [nominal]}}")
@@ -378,6 +382,12 @@ def test_own_components_are_swept(folder: Path) -> None:
     assert len(trial_by_trial(folder)) == 4
     assert len(table(folder).splitlines()) == 5
     assert run(*command, folder=folder)[2] == ""  # no code has changed since
+    robot = [*command, "hardware=robot"]
+    assert run(*robot, "sweep.dry_run=true", "engine=loky", folder=folder)[::2] == (0, "")
+    assert run(*robot, folder=folder)[0] in (0, 1)
+    status, _, err = run(*robot, "engine=loky", "sweep.trials=2", folder=folder)
+    assert status == 2
+    assert err.startswith("simbias: engine: has workers, which would move Stoppable at once")
 
 
 def test_live_view_fills() -> None:

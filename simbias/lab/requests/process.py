@@ -51,6 +51,7 @@ class Process(Hardware):
     """
 
     sets_start = False  # not known to set it
+    concurrent = True  # runs of a command wait for each other, and a supervisor ends them
     not_hashed = ("timeout", "exclusive")
 
     def __init__(self, task: Task, command: str, timeout: Seconds = 60.0, exclusive: bool = True) -> None:
