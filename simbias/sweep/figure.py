@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from pandas import DataFrame
 
-from simbias.pictures.elements.style import save
+from simbias.pictures.elements.style import publish
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -97,11 +97,9 @@ class Picture:
     animate: Callable[[Path], object] | None = None  # writes a GIF
 
     def write(self, folder: Path, name: str) -> list[Path]:
-        """Write name.png, .svg, .csv, .md (the caption) and, with an animation, .gif; return their paths."""
-        paths = [folder / f"{name}{suffix}" for suffix in (".png", ".svg", ".csv", ".md")]
-        png, svg, csv, md = paths
-        save(self.figure, png)
-        save(self.figure, svg)
+        """Write name.png, .svg, .pdf, .csv, .md (the caption) and, if animated, .gif; return their paths."""
+        csv, md = folder / f"{name}.csv", folder / f"{name}.md"
+        paths = [*publish(self.figure, folder, name), csv, md]
         self.numbers.to_csv(csv, index=False, float_format="%.6g")
         md.write_text(fill(self.caption, 110) + "\n", encoding="utf-8")
         if self.animate is not None:

@@ -39,7 +39,7 @@ examples:
   python -m simbias new my_robot       # create a folder for your own robot, which runs as it is
   python -m simbias export tracking.uri=sqlite:///other.db   # show the trials of ./trials in MLflow
   python -m simbias ui                 # open MLflow; `ui HASH` at a trial or a sweep
-  python -m simbias pictures trials/7a29f4c5425f my_pictures   # PNG, SVG and GIF
+  python -m simbias pictures trials/7a29f4c5425f my_pictures   # PNG, SVG, PDF and GIF
   python -m simbias identify RECORDINGS preset=double_pendulum   # a model from CSV files
   python -m simbias method.max_iterations=20 --continue trials/7a29f4c5425f   # keeps its experiments
   python -m simbias withdraw trials/7a29f4c5425f/0004_experiment.npz --reason "a loose cable"
@@ -164,7 +164,7 @@ def _add_of_folders(commands: Any, own: argparse.ArgumentParser) -> None:
         commands, "controller", "write a trial's last policy in C and in Python", of_policy, parents=[own]
     )
     for each, of_folder in (
-        (pictures, "folder for PNG, SVG and GIF files"),
+        (pictures, "folder for PNG, SVG, PDF and GIF files"),
         (controller, "folder for controller.h, controller.py and policy.json"),
     ):
         each.add_argument("trial", help="the trial's folder, or its run in MLflow")

@@ -196,6 +196,7 @@ def test_labels_of_others_are_drawn_in_silence(tmp_path: Path) -> None:
     for name, again, head in (("a.svg", "again.SVG", b"<?xml"), ("a.pdf", "again.pdf", b"%PDF")):
         assert (tmp_path / name).read_bytes() == (tmp_path / again).read_bytes()
         assert (tmp_path / name).read_bytes().startswith(head)
+    assert b"/Type3" not in (tmp_path / "a.pdf").read_bytes()
     assert "<b>" not in (tmp_path / "a.svg").read_text()
     with pytest.raises(ValueError, match=r"a\.jpg: a figure is saved as \.png, \.svg or \.pdf"):
         style.save(figure, "a.jpg")

@@ -53,12 +53,12 @@ def test_command_line_draws_a_stored_trial(tmp_path: Path, capsys: pytest.Captur
     capsys.readouterr()
     own = ["--config-dir", str(OWN_CONF)]
     assert simbias(["pictures", str(trial), str(folder), *own]) == 0
-    names = {f"{name}{suffix}" for name in AT_REST for suffix in (".png", ".svg")}
+    names = {f"{name}{suffix}" for name in AT_REST for suffix in (".png", ".svg", ".pdf")}
     assert {path.name for path in folder.iterdir()} == names
     assert all(path.read_bytes().startswith(b"<?xml") for path in folder.glob("*.svg"))
     assert Image.open(folder / "overview.png").width == 1800  # as a README needs it
     assert (folder / "overview.png").stat().st_size < 200_000
-    assert "overview.png, overview.svg, " in capsys.readouterr().out
+    assert "overview.png, overview.svg, overview.pdf, " in capsys.readouterr().out
     (tmp_path / "file").touch()
     assert simbias(["pictures", str(trial), str(tmp_path / "file"), *own]) == 2
     err = capsys.readouterr().err

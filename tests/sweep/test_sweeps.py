@@ -71,7 +71,7 @@ def test_files(made: Callable[[str], Path], name: str) -> None:
     """In the user's folder and in the sweep's."""
     folder = made(name)
     files = made_files(folder)
-    suffixes = [".png", ".svg", ".csv", ".md", *([".gif"] if name == "fig4" else [])]
+    suffixes = [".png", ".svg", ".pdf", ".csv", ".md", *([".gif"] if name == "fig4" else [])]
     assert set(files) == {f"{name}{suffix}" for suffix in suffixes}
     assert len(np.unique(np.asarray(Image.open(folder / "figures" / f"{name}.png").convert("L")))) > 20
     assert ET.fromstring(files[f"{name}.svg"]).tag.endswith("svg")
@@ -163,5 +163,5 @@ def test_figure_without_a_store(folder: Path) -> None:
     quick = ["task.horizon=200", "optimizer.max_evaluations=20", "engine=sequential", "sweep.trials=1"]
     assert main(["+sweep=smoke", *quick, "tracking=none", "+sweep.figures_to=here"]) == 0
     assert {file.name for file in (folder / "here").iterdir()} == {
-        f"experiments.{suffix}" for suffix in ("png", "svg", "csv", "md")
+        f"experiments.{suffix}" for suffix in ("png", "svg", "pdf", "csv", "md")
     }

@@ -169,6 +169,14 @@ def plain(axes: Axes, grid: Literal["x", "y", "both"] | None = None) -> None:
         axes.set_axisbelow(True)
 
 
+def publish(figure: Figure, folder: Path, name: str) -> list[Path]:
+    """Write a figure as name.png, .svg and .pdf; return their paths."""
+    paths = [folder / f"{name}{suffix}" for suffix in (".png", *DATES)]
+    for path in paths:
+        save(figure, path)
+    return paths
+
+
 def save(figure: Figure, path: Path | str) -> None:
     """Write a figure as PNG, SVG or PDF, by the path's suffix; the same figure gives the same file.
 
@@ -183,7 +191,8 @@ def save(figure: Figure, path: Path | str) -> None:
     elif suffix in DATES:
         from matplotlib import rc_context
 
-        with rc_context({"svg.hashsalt": "simbias"}), _silence():
+        # Journals refuse the fonts of type 3 that Matplotlib embeds by default.
+        with rc_context({"svg.hashsalt": "simbias", "pdf.fonttype": 42}), _silence():
             figure.savefig(path, format=suffix[1:], facecolor="white", metadata={DATES[suffix]: None})
     else:
         raise ValueError(f"{path}: a figure is saved as .png, .svg or .pdf")

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from simbias.core.errors import ConfigError
 from simbias.core.records import Iteration
 from simbias.pictures.elements.drawing import NoPictureError
-from simbias.pictures.elements.style import SMALL, png, save
+from simbias.pictures.elements.style import SMALL, png, publish
 from simbias.pictures.trial.animation import save_animation
 from simbias.pictures.trial.costs import costs
 from simbias.pictures.trial.errors import prediction_errors
@@ -89,7 +89,7 @@ def illustrate(record: TrialRecord, folder: Path, names: Sequence[str] = ALL) ->
 def save_all(
     study: Study, iterations: Sequence[Iteration], folder: Path, withdrawn: Sequence[Withdrawal] = ()
 ) -> list[str]:
-    """Write all pictures of a trial for publication, as PNG, SVG and GIF; return the file names.
+    """Write all pictures of a trial for publication, as PNG, SVG, PDF and GIF; return the file names.
 
     ConfigError if no iteration has ended, or the folder cannot be made.
     """
@@ -103,9 +103,7 @@ def save_all(
     for name in FIGURES:
         with suppress(NoPictureError):
             figure = _figure(name, study, iterations, withdrawn)
-            for suffix in (".png", ".svg"):
-                save(figure, folder / f"{name}{suffix}")
-                files.append(f"{name}{suffix}")
+            files += [path.name for path in publish(figure, folder, name)]
     with suppress(NoPictureError):
         save_animation(study, iterations, folder / f"{ANIMATION}.gif")
         files.append(f"{ANIMATION}.gif")
