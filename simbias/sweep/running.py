@@ -68,7 +68,7 @@ def prepare(store: Tracking, variations: Variations, trials_engine: Engine) -> t
     """The sweep, and its finished trials.
 
     Checks that the components of every cell can be built and that its method accepts them; a ConfigError says
-    why not. If trials are to be run, the simulation is compiled.
+    why not. If trials are to be run, the engine is checked, and the simulation is compiled.
     """
     sweep = expanded(variations)
     ended = finished(sweep, store)
@@ -95,8 +95,7 @@ def prepare(store: Tracking, variations: Variations, trials_engine: Engine) -> t
         for study in studies.values():
             if trials_engine.has_workers and not study.hardware.concurrent:
                 raise ConfigError("engine", NOT_CONCURRENT.format(type(study.hardware).__name__))
-        for study in studies.values():  # compiled here once; workers find it in the cache
-            rehearse(study)
+            rehearse(study)  # compiled here once; workers find it in the cache
     return sweep, ended
 
 

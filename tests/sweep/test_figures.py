@@ -81,8 +81,8 @@ def test_comparisons_numbers_are_those_of_the_trials() -> None:
     lasts = "the last policy lasts for the task's horizon without a failure, long ones to their end"
     assert lasts in picture.caption
     assert picture.caption.endswith(
-        " Policies hold most often with ideal 3 of 3 (44% to 100%); Wilson intervals are over cells, or the "
-        "policies of one. p in the table: sign tests against LQI, Holm-corrected."
+        " Policies hold most often with ideal 3 of 3 (44% to 100%); Wilson intervals are over different "
+        "policies. p in the table: sign tests against LQI, Holm-corrected."
     )
     picture_of_two = Comparison("method").draw(made_up({"ideal": [half, all_of_16, all_of_16]}), ())
     (curve,) = picture_of_two.figure.axes[-1].lines
@@ -105,7 +105,7 @@ def test_comparisons_numbers_are_those_of_the_trials() -> None:
     assert (
         own["share_low"] < own["share"] == own["share_high"] == 1.0
     )  # policies are resampled with all trials
-    assert "with its 95% bootstrap interval over cells, or the policies of one. Below" in of_policies.caption
+    assert "with its 95% bootstrap interval over different policies. Below" in of_policies.caption
     for axes in alike.figure.axes[-2:]:
         one, *others = (line.get_transform().transform(line.get_xydata()) for line in axes.lines)
         below = [((one - other) * 72 / alike.figure.dpi)[0, 1] for other in others]

@@ -93,7 +93,8 @@ class Comparison(SweepFigure):
                 numbers = numbers.join(against(own, own[name]).add_suffix(f" {name}"), on="method")
         curves = {name: own[name] for name in (self._curves or [*own][:MOST]) if name in own}
         figure = _figure(own, numbers, curves, apart)
-        caption = _caption(numbers, trials.sweep)
+        units = {"cells" if len(method.tried) > 1 else "different policies" for method in own.values()}
+        caption = _caption(numbers, trials.sweep, " or ".join(sorted(units)))
         if compared := [name for name in self._references if name in own and numbers[f"p {name}"].any()]:
             caption += f" p in the table: sign tests against {' and '.join(compared)}, Holm-corrected."
         if len(curves) < len(own):
@@ -103,17 +104,17 @@ class Comparison(SweepFigure):
         return Picture(figure, numbers, caption + untested(row["test_episodes"] for row in trials.rows))
 
 
-def _caption(numbers: pd.DataFrame, sweep: Sweep) -> str:
-    """The caption, from the numbers."""
+def _caption(numbers: pd.DataFrame, sweep: Sweep, units: str) -> str:
+    """The caption, from the numbers and what intervals are over."""
     shares = (numbers["holds"] / (numbers["judged"] + numbers["raised"])).where(numbers["judged"] > 0)
     best = numbers[shares == shares.max()].to_dict("records")
     held = ", ".join(map(_held, best))
     alike = len(best) == shares.count() > 1
     often = f"{'equally' if alike else 'most'} often"
-    most = f" Policies hold {often} with {held}; Wilson intervals are over cells, or the policies of one."
+    most = f" Policies hold {often} with {held}; Wilson intervals are over {units}."
     if not shares.any():
         most = " No trial ends with a policy that holds." * bool(shares.count())
-    spread = ", with its 95% bootstrap interval over cells, or the policies of one"
+    spread = f", with its 95% bootstrap interval over {units}"
     spread *= bool(numbers["share_low"].notna().any())
     few = int((numbers["trials"] - numbers["judged"]).sum())
     needed = episodes_needed(sweep.report.bar)
