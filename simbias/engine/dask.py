@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import signal
 import time
-from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
@@ -16,15 +15,14 @@ from simbias.core.errors import ConfigError
 from simbias.core.extras import library, silent
 from simbias.core.ranges import Workers
 from simbias.engine.contract import (
-    MOST_LOSSES,
     Engine,
     EngineLostError,
     R,
     Results,
     T,
-    WorkerLostError,
     WorkplaceError,
 )
+from simbias.engine.task_queue import TaskQueue
 from simbias.engine.workplace import workplace
 
 if TYPE_CHECKING:
@@ -34,7 +32,6 @@ CONNECT_SECONDS = 5.0
 JOIN_SECONDS = 5.0  # without a worker, until a line says so
 POLL_SECONDS = 0.1  # between checks for finished tasks, like Dask's own
 LOGGER = "distributed.client"  # logs, with a traceback, that the scheduler is gone
-REFUSED = "simbias: a trial %s. Other workers are preferred from now on"
 UNREADABLE = "deserialization"  # Dask's word for a task that a worker cannot unpickle
 
 
@@ -66,17 +63,13 @@ class Dask(Engine):
 
         Sweeps with other code may run there at the same time: each task sees that of its own sweep.
 
-        Dask holds two tasks per worker at a time: one running, one waiting. Dask blames a worker's death on
-        all tasks that waited there, so a task that lost its workers runs alone at the end before it is
-        blamed. A worker at which a task could not begin gets no more tasks while there are other workers.
+        Dask holds two tasks per worker at a time: one running, one waiting.
         """
         if not tasks:
             return
         from distributed import KilledWorker, as_completed
 
-        losses, refusals = Counter[int](), Counter[int]()
-        refused: set[str] = set()  # workers at which a task could not begin
-        waiting, suspects = deque(range(len(tasks))), deque[int]()
+        queue = TaskQueue(len(tasks))
         futures: dict[Future, int] = {}
         with (
             silent(LOGGER),
@@ -86,19 +79,16 @@ class Dask(Engine):
         ):
             # With with_results=True, it would wait forever for a result lost with its worker.
             ended = as_completed([], loop=client.loop)
-            while waiting or suspects or futures:
-                if not waiting and not futures:
-                    waiting.append(suspects.popleft())
-                while waiting and len(futures) < 2 * max(1, len(workers := _workers(client))):
-                    index = waiting.popleft()
-                    others = [each for each in workers if each not in refused] if refused else []
+            while queue or futures:
+                while queue.ready(alone=not futures) and len(futures) < 2 * max(1, len(_workers(client))):
+                    index, preferred = queue.take(_workers(client))
                     # Without partial, Dask would search the arguments for calls.
                     call = partial(_at_worker, function, tasks[index], home)
                     future = client.submit(
                         call,
                         pure=False,
-                        workers=others or None,
-                        allow_other_workers=bool(others),  # if these are lost
+                        workers=preferred or None,
+                        allow_other_workers=bool(preferred),  # if these are lost
                     )
                     futures[future] = index
                     ended.add(future)
@@ -107,21 +97,11 @@ class Dask(Engine):
                 try:
                     result = future.result()  # a task raises nothing
                 except KilledWorker as error:
-                    alone = losses[index] >= MOST_LOSSES - 1
-                    losses[index] += error.allowed_failures + 1
-                    if not alone:
-                        (waiting if losses[index] < MOST_LOSSES - 1 else suspects).append(index)
-                        continue
-                    yield index, WorkerLostError(f"its worker died {losses[index]} times")
+                    if blamed := queue.lost(index, error):
+                        yield index, blamed
                 except WorkplaceError as error:
-                    if error.worker not in refused:
-                        logging.getLogger(__name__).warning(REFUSED, error)
-                    refused.add(error.worker)
-                    refusals[index] += 1
-                    if refusals[index] < MOST_LOSSES:
-                        waiting.append(index)
-                    else:
-                        yield index, error
+                    if blamed := queue.refused(index, error):
+                        yield index, blamed
                 except RuntimeError as error:
                     if UNREADABLE not in str(error):
                         raise

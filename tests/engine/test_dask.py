@@ -24,6 +24,7 @@ from processes import runs, wait_for
 from simbias.config import ConfigError, compose
 from simbias.config.build import service
 from simbias.engine import dask as module
+from simbias.engine import task_queue
 from simbias.engine.contract import Engine, EngineLostError, WorkplaceError
 from simbias.engine.dask import Dask
 
@@ -183,7 +184,7 @@ def test_a_worker_at_which_no_task_can_begin_swallows_none(caplog: pytest.LogCap
         bad, good = (worker.address for worker in cluster.workers.values())
         dask = Dask(address=cluster.scheduler_address)
         assert dict(dask.run(begin_elsewhere, 20 * [[bad]])) == dict.fromkeys(range(20), good)
-        (said,) = [each.getMessage() for each in caplog.records if each.name == module.__name__]
+        (said,) = [each.getMessage() for each in caplog.records if each.name == task_queue.__name__]
         assert said.startswith(f"simbias: a trial cannot begin at {bad}: no room")
         ((_, error),) = dask.run(begin_elsewhere, [[bad, good]])
     assert isinstance(error, WorkplaceError)
