@@ -129,10 +129,26 @@ class Runs:
                 logging.getLogger(__name__).warning(AWAY, error, self._trials, self.export_command)
             self.away = True
 
-    def find(self, identity: str, parent: str = "", deleted: bool = False) -> list[Run]:
-        """The runs with this hash in a parent, or in none, newest first; existing or deleted ones."""
-        found = self._search(f"tags.hash = '{identity}'", deleted)
+    def find(self, identity: str, parent: str = "") -> list[Run]:
+        """The runs with this hash in a parent, or in none, newest first."""
+        found = self._search(f"tags.hash = '{identity}'")
         return [run for run in found if run.data.tags.get(pages.PARENT, "") == parent]
+
+    def orphans(self, identity: str) -> list[Run]:
+        """The runs with this hash whose parent was deleted."""
+        found = self._search(f"tags.hash = '{identity}'")
+        return [run for run in found if self._deleted(run.data.tags.get(pages.PARENT, ""))]
+
+    def _deleted(self, run_id: str) -> bool:
+        """Whether a run was deleted, perhaps also from the store (`mlflow gc`); False for ""."""
+        from mlflow.exceptions import MlflowException
+
+        try:
+            return bool(run_id) and self.client.get_run(run_id).info.lifecycle_stage == "deleted"
+        except MlflowException as error:
+            if error.error_code != "RESOURCE_DOES_NOT_EXIST":
+                raise
+            return True
 
     def writing(self, folder: Path) -> AbstractContextManager[None]:
         """A lock for writing a folder's run, against all processes that may write to the folder.
@@ -167,14 +183,11 @@ class Runs:
         else:
             self.client.set_terminated(run.info.run_id, status, end_time=end_time)
 
-    def _search(self, filter_string: str, deleted: bool = False) -> Iterator[Run]:
-        """Runs of the experiment, newest first; existing or deleted ones."""
-        from mlflow.entities import ViewType
-
-        view = ViewType.DELETED_ONLY if deleted else ViewType.ACTIVE_ONLY
+    def _search(self, filter_string: str) -> Iterator[Run]:
+        """Runs of the experiment, newest first."""
         token: str | None = None
         while True:
-            page = self.client.search_runs([self.experiment_id], filter_string, view, page_token=token)
+            page = self.client.search_runs([self.experiment_id], filter_string, page_token=token)
             yield from page
             token = page.token
             if not token:

@@ -6,7 +6,6 @@ import math
 import time
 from collections.abc import Iterator
 from functools import cached_property, partial
-from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -100,8 +99,11 @@ class SweepRun(RunExport):
         if self.run_id and (run := runs.client.get_run(self.run_id)).info.lifecycle_stage == "active":
             return run
         self._uploaded, self._exports, self._done = None, {}, set()
-        found = self._found()
-        run = found[-1] if found else self._create()
+        started = about.get("started")  # None in earlier folders
+        start = None if started is None else int(1000 * started)
+        found = [each for each in runs.find(about["hash"]) if start in (None, each.info.start_time)]
+        tags = {**origin_tags(about), "hash": about["hash"], "sweep": about["name"]}
+        run = found[-1] if found else runs.create(f"sweep {about['name']}", tags, start)
         self._known = runs.nested(run.info.run_id)
         for identity, trial in about["trials"].items():
             for each in self._known.get(identity, ()):
@@ -109,27 +111,6 @@ class SweepRun(RunExport):
         runs.client.set_experiment_tag(runs.experiment_id, *pages.trials_view(about, run.info.run_id))
         self.run_id = run.info.run_id
         return run
-
-    def _found(self, deleted: bool = False) -> list[Run]:
-        """The folder's runs, existing or deleted; those of all folders if it lacks the time of its start."""
-        found = self.runs.find(self._description["hash"], deleted=deleted)
-        return [run for run in found if self._started in (None, run.info.start_time)]
-
-    @property
-    def _started(self) -> int | None:
-        """The first start in ms since the epoch; None in earlier folders."""
-        started = self._description.get("started")
-        return None if started is None else int(1000 * started)
-
-    def _create(self) -> Run:
-        """A new run, to which the trials of a deleted one are moved."""
-        about, runs = self._description, self.runs
-        tags = {**origin_tags(about), "hash": about["hash"], "sweep": about["name"]}
-        new = runs.create(f"sweep {about['name']}", tags, self._started)
-        for deleted in self._found(deleted=True):
-            for each in chain(*runs.nested(deleted.info.run_id).values()):
-                runs.client.set_tag(each.info.run_id, pages.PARENT, new.info.run_id)
-        return new
 
     def _relabel(self, run: Run, about: dict[str, Any]) -> None:
         """Update a trial's position in a run of an earlier export."""

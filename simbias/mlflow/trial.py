@@ -12,7 +12,7 @@ import yaml
 
 from simbias.core.records import Iteration
 from simbias.mlflow import notes
-from simbias.mlflow.pages import NOTE, PARENT, run_page
+from simbias.mlflow.pages import NOTE, PARENT, RUN_NAME, run_page
 from simbias.mlflow.runs import OUTDATED, Point, RunExport, Runs, superseded
 from simbias.trial.continuation import continued
 from simbias.trial.disk import LOCK, is_locked
@@ -93,6 +93,10 @@ class TrialExport(RunExport):
             tags |= {PARENT: nested.parent, **nested.tags}
         found = runs.find(identity, nested.parent if nested else "")
         if run := _begun(found, courses[-1]):
+            return run
+        if nested and (run := _begun(runs.orphans(identity), courses[-1])):
+            for key, value in {PARENT: nested.parent, RUN_NAME: nested.name, **nested.tags}.items():
+                runs.client.set_tag(run.info.run_id, key, value)
             return run
         new = runs.create(nested.name if nested else notes.run_name(description), tags, courses[-1])
         for run in found:
