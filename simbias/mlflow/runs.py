@@ -9,6 +9,7 @@ import logging
 import os
 import shlex
 import shutil
+import time
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
 URI, EXPERIMENT = "sqlite:///mlflow.db", "simbias"  # defaults
 EXPORT_LOCK = ".export.lock"  # in a folder, while its run is written
 AWAY = "simbias: MLflow: %s. All is kept in %s; once the store works, show it with:  %s"
+BACK = "simbias: MLflow: %s works again"
+RETRY_SECONDS, RETRY_SHARE = 60.0, 0.1  # least time until a store is tried again; most time spent on it
 NOT_EXPORTED = "simbias: MLflow does not show a trial: %s"
 
 OUTDATED = "outcome", "superseded"  # tag of a run whose trial has a later one
@@ -52,6 +55,7 @@ class Runs:
     def __init__(self, uri: str, experiment: str, trials: Path) -> None:
         self.uri, self._experiment, self._trials = uri, experiment, trials
         self.away = False  # whether the store was unreachable at the last write
+        self._retry = 0.0  # when it is tried again, by time.monotonic()
         self._client: MlflowClient | None = None
         if not store.is_server(self.uri):
             self._connect()
@@ -117,17 +121,22 @@ class Runs:
         return pages.run_page(self.experiment_id, run.info.run_id)
 
     def reach(self, write: Callable[[], None], again: bool = False) -> None:
-        """Write to the store; a failure is reported once, and the store is then skipped until `again`."""
-        if self.away and not again:
+        """Write to the store; after a failure, which is reported, skip it for a while, or until `again`."""
+        begun = time.monotonic()
+        if self.away and not again and begun < self._retry:
             return
+        log = logging.getLogger(__name__)
         try:
             with store.reaching(self.uri):
                 readable(write)
+            if self.away:
+                log.warning(BACK, redact(self.uri, self.uri))
             self.away = False
         except ConfigError as error:
             if not self.away:
-                logging.getLogger(__name__).warning(AWAY, error, self._trials, self.export_command)
-            self.away = True
+                log.warning(AWAY, error, self._trials, self.export_command)
+            self.away, now = True, time.monotonic()
+            self._retry = now + max(RETRY_SECONDS, (now - begun) / RETRY_SHARE)
 
     def find(self, identity: str, parent: str = "") -> list[Run]:
         """The runs with this hash in a parent, or in none, newest first."""

@@ -49,8 +49,7 @@ class SweepRun(RunExport):
 
     def trial_ended(self, folder: Path) -> None:
         """Export a trial into a nested run."""
-        if self.run_id:  # otherwise the store is unreachable: `update` will export it
-            self.runs.reach(lambda: self._write_trial(TrialFolder(folder)))
+        self.runs.reach(lambda: self._write_ended(TrialFolder(folder)))
 
     def write(self, final: bool = False) -> None:
         """Write what the run lacks and, at the end, all trials that the store lacks."""
@@ -117,6 +116,13 @@ class SweepRun(RunExport):
         for key, value in {RUN_NAME: about["name"], **_place(about)}.items():
             if run.data.tags.get(key) != value:
                 self.runs.client.set_tag(run.info.run_id, key, value)
+
+    def _write_ended(self, folder: TrialFolder) -> None:
+        """Write a trial that has just ended; the store may have been unreachable until then."""
+        if not self.run_id:
+            with self.runs.writing(self.path):
+                self._run()
+        self._write_trial(folder)
 
     def _write_trial(self, folder: TrialFolder) -> None:
         """Update a nested run, unless it is complete."""

@@ -345,7 +345,9 @@ def test_a_store_that_fails_in_the_middle_lacks_nothing_later(
             shown.update()
         assert record.outcome.final
         shown.update(final=True)
-    assert [each.getMessage().count("gone. All is kept in ") for each in caplog.records] == [1] * len(failing)
+    assert [each.getMessage().count("gone. All is kept in ") for each in caplog.records] == [1, 0] * len(
+        failing
+    )
     found = pages(uri(folder))
     assert [each["status"] for each in found.values()] == ["FINISHED"] * len(failing)
     assert exported_again(folder) == found
@@ -364,9 +366,9 @@ def serve(folder: Path, port: int) -> None:
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of a fork
 def test_a_server_that_is_away_loses_nothing_and_stops_nothing(
-    folder: Path, caplog: pytest.LogCaptureFixture
+    folder: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Away at the start; back, `export` catches up; and killed in the middle."""
+    """Away at the start; back, `export` catches up; killed in the middle; and back in the middle."""
     shutil.rmtree(folder / "trials")
     port = free_port()
     address, trials = f"http://127.0.0.1:{port}", folder / "trials"
@@ -406,3 +408,18 @@ def test_a_server_that_is_away_loses_nothing_and_stops_nothing(
     again = exported_again(folder)
     assert [each["status"] for each in again.values()] == ["FINISHED"] * 2
     assert found.items() <= again.items()
+    monkeypatch.setattr(runs, "RETRY_SECONDS", 0.0)
+    server = multiprocessing.get_context("fork").Process(target=serve, args=(folder, port), daemon=True)
+
+    class Starting(Observer):
+        def iterated(self, iteration: Iteration) -> None:
+            if not server.pid:
+                server.start()
+                wait_for(lambda: is_up(address))
+
+    shown = Mlflow(address, trials=str(trials)).export_trial(at(folder, 2))
+    run_trial(study(2), at(folder, 2), Observers(shown, Starting()))
+    assert [each.getMessage() for each in caplog.records][3:] == [f"simbias: MLflow: {address} works again"]
+    assert pages(address)["2"]["metrics"]["experiments/total"]
+    server.kill()
+    server.join()
