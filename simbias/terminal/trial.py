@@ -168,7 +168,7 @@ class TrialConsole(Observer):
     def designed(self, theta: Array, model: Model | None = None, search: Search | None = None) -> None:
         """Report oddities of a policy, before hardware is spent on it."""
         self._said_of_policy.clear()
-        self._remark(diagnostics.of_policy(theta, search, self._iterations))
+        self._remark(diagnostics.of_policy(theta, model, search, self._iterations))
         self._remark(diagnostics.of_prediction(theta, model, self._study), again=True)
         self._model = model
 

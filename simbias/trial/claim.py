@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import chain
 from math import pi
 from typing import Annotated, NamedTuple
 
+import numpy as np
 from pydantic import Field
 
+from simbias.core import Model
 from simbias.core.proportions import clopper_pearson, passes_needed
-from simbias.core.records import Iteration
+from simbias.core.records import Array, Iteration, Rollout
 
 ERROR = 0.05  # probability that a trial overstates the share of starts for any of its policies
+SAME = 1e-6  # of a policy's largest parameter: smaller differences are ignored
 
 Confidence = Annotated[float, Field(gt=0, lt=1)]  # a share of starts to be established
 
@@ -51,13 +56,40 @@ def check_passes(passes: int | None, experiments: int) -> None:
         raise ValueError(f"passes: {passes} are fewer than the {experiments} experiments of an iteration")
 
 
-def claim_of(iteration: Iteration) -> Claim | None:
-    """The claim that an iteration's experiments support for its policy, with exact one-sided bounds.
+def iterations_with(theta: Array, model: Model | None, iterations: Sequence[Iteration]) -> list[Iteration]:
+    """The iterations that tried the policy theta (p,) designed on a model, but for last digits.
 
-    None if a start was not drawn by the task, but chosen by the method.
+    With the same parameters, a policy that is redesigned on another nominal model is another policy.
     """
-    if any(rollout.given_start for rollout in iteration.experiments):
+    within = SAME * np.abs(theta).max(initial=0.0)  # plans are recomputed, and differ in their last digits
+    same = (each for each in iterations if np.allclose(each.parameters, theta, rtol=SAME, atol=within))
+    return [each for each in same if _same_design(each.model, model)]
+
+
+def _same_design(one: Model | None, other: Model | None) -> bool:
+    """Whether policies with the same parameters are the same on both models."""
+    if one is None or other is None:
+        return one is other
+    return one.policy is other.policy or one.nominal is other.nominal
+
+
+def claim_of(iterations: Sequence[Iteration]) -> Claim | None:
+    """The claim that a trial's experiments support for its last policy, with exact one-sided bounds.
+
+    It counts the experiments of all iterations with this policy, but its lower bound is at most that of the
+    last iteration alone, whose number of experiments was fixed before. None if a start of that iteration was
+    not drawn by the task, but chosen by the method.
+    """
+    last = iterations[-1]
+    if any(rollout.given_start for rollout in last.experiments):
         return None
-    n = len(iteration.experiments)
-    k = sum(rollout.failed_at is None for rollout in iteration.experiments)
-    return Claim(k / n, *clopper_pearson(k, n, 1 - 2 * error_of(iteration.index)))
+    tried = [each.experiments for each in iterations_with(last.parameters, last.model, iterations)]
+    drawn = [rollout for rollout in chain(*tried) if not rollout.given_start]
+    alone, claim = (_supported(each, error_of(last.index)) for each in (last.experiments, drawn))
+    return claim._replace(low=min(claim.low, alone.low))
+
+
+def _supported(experiments: Sequence[Rollout], error: float) -> Claim:
+    """The claim that experiments with one policy support, with this probability of error of each bound."""
+    n, k = len(experiments), sum(rollout.failed_at is None for rollout in experiments)
+    return Claim(k / n, *clopper_pearson(k, n, 1 - 2 * error))

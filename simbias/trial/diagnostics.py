@@ -18,13 +18,13 @@ from simbias.lab.safety import exceeded
 from simbias.learning.identification.directions import undetermined
 from simbias.learning.identification.identified import Identified
 from simbias.simulation.closed_loop import simulator
+from simbias.trial.claim import iterations_with
 from simbias.trial.study import Study
 
 NEARER, EARLIER = 0.95, 0.9  # of the least distance in the first 90%: a last one below is still falling
 ROUGH = 0.5  # of the residuals' root mean square: larger errors of a sparse posterior are reported
 STARTS = 20  # simulated for a policy if the task does not define success
 CHATTER = 0.1  # of an input's range: a larger mean change from frame to frame is reported
-SAME = 1e-6  # of a policy's largest parameter: smaller differences are ignored
 
 _simulated: WeakKeyDictionary[Iteration, tuple[Remark, ...]] = WeakKeyDictionary()
 
@@ -50,8 +50,10 @@ def of_experiments(experiments: Sequence[Rollout], study: Study) -> list[str]:
     return [f"{len(each)} of {of} {end}: {', '.join(dict.fromkeys(each))}" for end, each in ends.items()]
 
 
-def of_policy(theta: Array, search: Search | None, earlier: Sequence[Iteration]) -> Iterator[Remark]:
-    """Oddities of a policy theta (p,), searched or not, that was made after earlier iterations."""
+def of_policy(
+    theta: Array, model: Model | None, search: Search | None, earlier: Sequence[Iteration]
+) -> Iterator[Remark]:
+    """Oddities of a policy theta (p,), searched or not, that was made on a model after earlier iterations."""
     if search is not None and search.optimum.flat:
         optimum = search.optimum
         yield Remark(
@@ -59,12 +61,10 @@ def of_policy(theta: Array, search: Search | None, earlier: Sequence[Iteration])
             f"all {optimum.evaluations} simulated policies cost the same ({optimum.cost:g}), so this one is "
             "arbitrary; does every simulation fail immediately, or start at rest in an equilibrium?",
         )
-    within = SAME * np.abs(theta).max(initial=0.0)  # plans are recomputed, and differ in their last digits
-    same = [each.index for each in earlier if np.allclose(each.parameters, theta, rtol=SAME, atol=within)]
-    if same:
+    if same := iterations_with(theta, model, earlier):
         yield Remark(
             "a refuted policy was tried again",
-            f"this is again the policy of iteration {same[0]}, which did not succeed on the hardware; "
+            f"this is again the policy of iteration {same[0].index}, which did not succeed on the hardware; "
             "learning has not changed it since",
         )
 
@@ -237,7 +237,8 @@ def of_inputs(experiments: Sequence[Rollout], task: Task) -> Iterator[Remark]:
 
 def of_iteration(iteration: Iteration, earlier: Sequence[Iteration], study: Study) -> list[Remark]:
     """Everything odd about a finished iteration, except a cleared model, which is no fault."""
-    found = [*of_policy(iteration.parameters, iteration.search, earlier), *_of_simulations(iteration, study)]
+    found = [*of_policy(iteration.parameters, iteration.model, iteration.search, earlier)]
+    found += _of_simulations(iteration, study)
     found += of_inputs(iteration.experiments, study.task)
     if iteration.learning is not None and not iteration.succeeded:
         found += of_selection(iteration.learning.selection)

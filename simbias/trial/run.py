@@ -20,7 +20,7 @@ from simbias.core.records import Iteration, Rollout
 from simbias.lab.requests.request import ExperimentRequest
 from simbias.lab.safety import SafetyLimitedPolicy
 from simbias.trial import diagnostics
-from simbias.trial.claim import claim_of
+from simbias.trial.claim import claim_of, iterations_with
 from simbias.trial.disk import LOCK, is_locked
 from simbias.trial.folder import TRIAL, Withdrawal
 from simbias.trial.observer import Observer, Observers
@@ -191,7 +191,9 @@ class _Run(Observer):
         last = self._iterations[-1] if self._iterations else None
         if last is not None and last.succeeded:
             return Outcome.SUCCEEDED, ""
-        why = "; ".join(diagnostics.of_experiments(last.experiments if last else (), self._study))
+        same = iterations_with(last.parameters, last.model, self._iterations) if last else []
+        tried = [rollout for each in same for rollout in each.experiments]
+        why = "; ".join(diagnostics.of_experiments(tried, self._study))
         told = [f"Of the last policy, {why}."] if why else []
         if self._unfinished:
             first = 0 if last else self._study.method.random_experiments
@@ -233,7 +235,7 @@ class _Run(Observer):
         method, test = self._study.method, self._policy_test
         before = self._kept.folder if self._kept else None
         remarks = diagnostics.of_trial(self._iterations, self._study)
-        claim = claim_of(self._iterations[-1]) if outcome is Outcome.SUCCEEDED else None
+        claim = claim_of(self._iterations) if outcome is Outcome.SUCCEEDED else None
         made = len(self._made)
         seconds = self._study.task.time_step * sum(rollout.frames for rollout in self._made)
         timed_out = "seconds" in self._study.budget.spent(made, seconds)

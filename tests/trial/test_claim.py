@@ -55,12 +55,30 @@ def test_a_trial_goes_on_until_its_bound_holds(point_mass: Study) -> None:
 def test_two_passes_claim_little(point_mass: Study) -> None:
     record = run_trial(replace(point_mass, method=ModelBased(), hardware=Fickle(1.0)))
     last = record.iterations[-1]
-    assert (claim := claim_of(last))
+    assert (claim := claim_of(record.iterations))
     assert claim.share == 1
     assert claim.low == pytest.approx(error_of(0) ** 0.5)
     assert record.summary.claimed_share == claim.low
     at_mean = point_mass.experiment(np.zeros(3), np.random.default_rng(0), point_mass.task.start_mean)
-    assert claim_of(replace(last, experiments=(at_mean, *last.experiments))) is None  # not of drawn starts
+    assert claim_of([replace(last, experiments=(at_mean, *last.experiments))]) is None  # not of drawn starts
+
+
+def test_earlier_experiments_with_the_last_policy_count(point_mass: Study) -> None:
+    """But not if it is designed on another model, or if the method chose the start."""
+    last = run_trial(replace(point_mass, method=ModelBased(), hardware=Fickle(1.0))).iterations[-1]
+    again, fell = replace(last, index=1), replace(last.experiments[0], failed_at=3)
+    refuted = replace(last, experiments=(fell, fell))
+    assert (alone := claim_of([again]))
+    assert (claim := claim_of([refuted, again]))
+    assert claim.low < min(alone.low, claim.share)
+    assert (claim.share, claim.high) == (0.5, pytest.approx(1 - claim.low))
+    passed = replace(last, experiments=10 * last.experiments)
+    assert claim_of([passed, again]) == alone  # which its own passes support, however many it tried before
+    assert last.model
+    other = replace(last.model, policy=copy(last.model.policy), nominal=copy(last.model.nominal))
+    chosen = replace(fell, given_start=True)
+    for earlier in (replace(refuted, model=other), replace(last, experiments=(chosen,))):
+        assert claim_of([earlier, again]) == alone
 
 
 @pytest.mark.slow

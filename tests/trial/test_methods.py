@@ -88,8 +88,11 @@ def test_a_policy_that_is_tried_again_is_told_without_a_search(point_mass: Study
     record = run_trial(calm)
     assert [each.succeeded for each in record.iterations] == [False, False]
     assert record.summary.diagnostics == ("a refuted policy was tried again",)
+    assert record.summary.reason.startswith("Of the last policy, 4 of 4 experiments ")
     made = record.iterations[:1]
-    nearly, other = (list(of_policy(made[0].parameters * (1.0 + d), None, made)) for d in (1e-9, 1e-3))
+    nearly, other = (
+        list(of_policy(made[0].parameters * (1.0 + d), made[0].model, None, made)) for d in (1e-9, 1e-3)
+    )
     assert ([remark.kind for remark in nearly], other) == ([*record.summary.diagnostics], [])
 
 
