@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import chain
 from math import pi
 from typing import Annotated, NamedTuple
 
@@ -83,8 +82,8 @@ def claim_of(iterations: Sequence[Iteration]) -> Claim | None:
     last = iterations[-1]
     if any(rollout.given_start for rollout in last.experiments):
         return None
-    tried = [each.experiments for each in iterations_with(last.parameters, last.model, iterations)]
-    drawn = [rollout for rollout in chain(*tried) if not rollout.given_start]
+    tried = *iterations_with(last.parameters, last.model, iterations[:-1]), last
+    drawn = [rollout for each in tried for rollout in each.experiments if not rollout.given_start]
     alone, claim = (_supported(each, error_of(last.index)) for each in (last.experiments, drawn))
     return claim._replace(low=min(claim.low, alone.low))
 
