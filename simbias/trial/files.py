@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from simbias.core import Task
+from simbias.core.errors import ConfigError
 from simbias.core.messages import LONGEST_VALUE, printable
 from simbias.core.records import Array, Rollout
 
@@ -43,9 +44,12 @@ def largest(task: Task, theta: Array, place: tuple[int, ...]) -> int:
 
 
 def load_rollout(path: Path) -> tuple[Rollout, tuple[int, ...]]:
-    """The rollout and its place, from a file written by `packed_rollout`."""
-    with np.load(path) as file:
-        arrays = {name: file[name] for name in file.files}
+    """The rollout and its place, from a file written by `packed_rollout`; ConfigError for another kind."""
+    with path.open("rb") as file:
+        if file.read(2) != b"PK":  # as every zip file begins; NumPy would advise to unpickle it
+            raise ConfigError(str(path), "is no npz file")
+    with np.load(path) as archive:
+        arrays = {name: archive[name] for name in archive.files}
     place = tuple(arrays.pop("place").tolist())
     fields: dict[str, Any] = {name: each if each.ndim else each.item() for name, each in arrays.items()}
     return Rollout(**fields), place

@@ -122,16 +122,15 @@ class FolderRecord(Record):
     def experiment(self, theta: Array, rng: np.random.Generator, make: MakeExperiment) -> Rollout:
         """The next experiment; one that breaks the contract is no step, as it would be replayed forever."""
         kind = EPISODE if self.testing else EXPERIMENT
-        path = self._replayed(kind, EXPERIMENT)  # episodes were also called so at first
+        path, place = self._replayed(kind, EXPERIMENT), place_of(rng)  # episodes were also called so at first
         if path is not None:
-            rollout = loaded(path, self._experiment)[0]
-            if not self._fits(rollout, theta):
+            rollout, own = loaded(path, self._experiment)
+            if own != place or not self._fits(rollout, theta):
                 raise changed(path)
             self._episodes += self.testing
             if rollout.source and Path(rollout.source).with_name(WITHDRAWN).exists():
                 logging.getLogger(__name__).warning(ELSEWHERE, path, rollout.source)
             return rollout
-        place = place_of(rng)
         superseded, withdrawn = self._former(kind, theta, place)
         file = self._steps.next(kind)
         with room_for(file, largest(self._longest_task, theta, place)):

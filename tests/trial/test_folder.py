@@ -274,10 +274,12 @@ def test_what_cannot_be_read_is_one_line_that_names_the_file(
         right = (folder / name).read_bytes()
         for content in (b"", b"{}", b"PK"):
             (folder / name).write_bytes(content)
-            with one_line(f"{name}: cannot be read"):
+            foreign = name.endswith("npz") and content != b"PK"
+            problem = f"{name}: {'is no npz file' if foreign else 'cannot be read'}"
+            with one_line(problem):
                 read_folder(folder)
             if name not in (TRIAL, OUTCOME):
-                with one_line(f"{name}: cannot be read"):
+                with one_line(problem):
                     run_trial(short, folder)
         (folder / name).write_bytes(right)
     outcome = json.loads(right := (folder / OUTCOME).read_bytes())
@@ -416,16 +418,18 @@ def test_an_experiment_that_holds_objects_runs_nothing(tmp_path: Path) -> None:
 
 
 def test_steps_of_other_code_are_one_line(short: Study, whole: Whole, tmp_path: Path) -> None:
-    """Another kind of step, another policy, another iteration."""
-    kind, theta, iteration = (cut(whole[0], tmp_path / name, 0) for name in ("kind", "theta", "iteration"))
+    """Another kind of step, another policy, another experiment with the same policy, another iteration."""
+    folders = [cut(whole[0], tmp_path / name, 0) for name in ("kind", "theta", "place", "iteration")]
+    kind, theta, place, iteration = folders
     (kind / "0000_search.json").rename(kind / "0000_experiment.npz")
+    shutil.copy(place / "0001_experiment.npz", place / "0002_experiment.npz")
     for file, change in (
         (theta / "0000_search.json", {"parameters": [0.0] * 5}),
         (iteration / "0003_iteration.json", {"succeeded": True}),
     ):
         file.write_text(json.dumps(json.loads(file.read_text()) | change))
-    names = ("0000_experiment.npz", "0001_experiment.npz", "0003_iteration.json")
-    for folder, file in zip((kind, theta, iteration), names, strict=True):
+    names = ("0000_experiment.npz", "0001_experiment.npz", "0002_experiment.npz", "0003_iteration.json")
+    for folder, file in zip(folders, names, strict=True):
         message = f"{file}: does not fit the trial: its code, a file that it reads or this folder has changed"
         with pytest.raises(ConfigError, match=message):
             read_trial(short, folder)
