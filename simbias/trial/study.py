@@ -122,7 +122,13 @@ class Study:
         return self.composition.hash
 
     def run(self, observer: Observer | None = None) -> Iterator[Iteration]:
-        """Run the method within the budget; the same seed gives the same records on machines of one kind."""
+        """Run the method within the budget; the same seed gives the same records on machines of one kind.
+
+        Raises
+        ------
+        ConfigError
+            If the method ends without an iteration, though its budget is not spent.
+        """
         study = replace(
             self,
             hardware=self.checked_hardware,
@@ -130,7 +136,11 @@ class Study:
             spending=Spending(self.budget),
         )
         with suppress(BudgetSpent):
-            yield from self.method.run(study, np.random.default_rng(self.seed), observer or Observer())
+            run = iter(self.method.run(study, np.random.default_rng(self.seed), observer or Observer()))
+            if (first := next(run, None)) is None:
+                raise ConfigError("method", f"{type(self.method).__name__}.run yields no iteration")
+            yield first
+            yield from run
 
     @property
     def max_experiments(self) -> int:

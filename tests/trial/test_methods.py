@@ -45,6 +45,7 @@ def test_what_is_wrong_is_one_line(point_mass: Study) -> None:
         ),
         ({"draws_starts_anew": True}, "Guessing.run: expected the same trial from the same seed, got "),
         ({"breaks": True}, "ZeroDivisionError: of nothing"),
+        ({"run": lambda *_: iter(())}, "Guessing.run yields no iteration"),
     ):
         method = Guessing()
         vars(method).update(wrong)

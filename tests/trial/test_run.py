@@ -132,14 +132,13 @@ def test_an_interrupted_trial_is_kept_and_the_interruption_passed_on(
         assert (record.outcome, record.summary.experiments, record.summary.reason) == ("interrupted", 3, "")
 
 
-def test_a_trial_without_an_iteration_does_not_succeed(point_mass: Study) -> None:
+def test_a_method_without_an_iteration_is_an_error(point_mass: Study) -> None:
     class Nothing(Scripted):
         def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
             yield from ()
 
     summary = run_trial(replace(point_mass, method=Nothing())).summary
-    assert (summary.outcome, summary.experiments) == (Outcome.NOT_SUCCEEDED, 0)
-    assert summary.experiments_until_success == 10.0
+    assert (summary.outcome, summary.reason) == (Outcome.ERROR, "method: Nothing.run yields no iteration")
 
 
 def test_a_summary_is_the_same_after_json() -> None:
