@@ -24,7 +24,7 @@ PAGES = [
     ROOT / "CONTRIBUTING.md",
     *(
         ROOT / folder / "README.md"
-        for folder in ("conf", "simbias", "simbias/engine", *USED, "tests", "sweeps/results")
+        for folder in ("conf", "simbias", "simbias/engine", "simbias/trial", *USED, "tests", "sweeps/results")
     ),
 ]
 SHORT = [

@@ -114,7 +114,7 @@ def experiment(
     """Run `count` hardware experiments with a policy designed on a model (Fig. 1's solid loop).
 
     After the first `before_stop` experiments (by default all), a failure ends the series. This does not
-    change the experiments of later iterations.
+    change the experiments of later iterations. Errors are those of `Study.experiment`.
     """
     before_stop = count if before_stop is None else before_stop
     own, rollouts = study.designed_on(model), list[Rollout]()
@@ -129,7 +129,7 @@ def random_experiment(study: Study, rng: np.random.Generator, observer: Observer
     """Run an experiment with random inputs, without a policy.
 
     At `RANDOM_KNOTS` times, each input is at one of its limits, drawn at random; between them, it is linear
-    in time.
+    in time. Errors are those of `Study.experiment`.
     """
     input_rng, experiment_rng = rng.spawn(2)
     policy = Trajectory(study.task, study.nominal, RANDOM_KNOTS)
@@ -192,7 +192,13 @@ def iteration_record(
 
 
 def log_costs(costs: float | Sequence[float]) -> Array:
-    """The logarithms ln Z of one cost or several (k,); ConfigError unless they are positive."""
+    """The logarithms ln Z of one cost or several (k,).
+
+    Raises
+    ------
+    ConfigError
+        If a cost is not positive.
+    """
     if not (least := np.min(costs)) > 0:
         raise ConfigError("cost", f"is {least:.3g}; this method needs positive costs: it compares ln Z")
     return np.log(costs)

@@ -1,7 +1,9 @@
 """What `python -m simbias check` finds wrong with a method, and what holds for all that ship."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -95,6 +97,18 @@ def test_a_policy_that_is_tried_again_is_told_without_a_search(point_mass: Study
         list(of_policy(made[0].parameters * (1.0 + d), made[0].model, None, made)) for d in (1e-9, 1e-3)
     )
     assert ([remark.kind for remark in nearly], other) == ([*record.summary.diagnostics], [])
+
+
+@pytest.mark.usefixtures("uncompiled")
+def test_the_method_in_the_readme_is_lqr_without_options(point_mass: Study) -> None:
+    text = (Path(simbias.__file__).parent / "trial" / "README.md").read_text()
+    exec(re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL)[0], own := dict[str, Any]())
+    study = replace(point_mass, policy=OutputFeedback(point_mass.task), method=own["Redesign"](2))
+    assert [verdict.problem for verdict in verdicts(study, ["method"])] == [""]
+    lqr = replace(study, method=Lqr(100.0, identified=True, max_iterations=2, sticking=False))
+    for one, other in zip(study.run(), lqr.run(), strict=True):
+        np.testing.assert_array_equal(one.parameters, other.parameters)
+        assert (one.hardware_cost, one.succeeded) == (other.hardware_cost, other.succeeded)
 
 
 @pytest.mark.slow
