@@ -10,6 +10,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import invalidate_caches
+from importlib.machinery import ModuleSpec, PathFinder
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -85,10 +86,12 @@ def own(config: Any, folders: Sequence[Path], prefixes: Sequence[str]) -> Own:
     """The modules that a config may name: with the prefixes, and those in or beside a folder of configs.
 
     Subfolders are not searched, as an environment with installed packages may lie there. The folders are
-    appended to Python's module path.
+    appended to Python's module path. A ConfigError names a module there that Python imports from elsewhere.
     """
     homes = [home for folder in folders for home in (folder.resolve(), folder.absolute().parent.resolve())]
     sys.path += [path for path in dict.fromkeys(map(str, homes)) if path not in sys.path]
+    for module in sorted({str(target).rpartition(".")[0] for target in targets(config)}):
+        _check_not_hidden(module, homes)
     names = {str(target).partition(".")[0] for target in targets(config)} - {OWN}
     beside = sorted(name for name in names if homes and _homes(name) and _homes(name) <= {*homes})
     return Own((*prefixes, *beside), tuple(str(folder.absolute()) for folder in folders))
@@ -108,16 +111,42 @@ def leaves(config: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[tuple[Any,
         yield path, config
 
 
+def _check_not_hidden(module: str, homes: Sequence[Path]) -> None:
+    """Refuse a module that lies in one of the folders if Python imports another of the same name."""
+    imported = _file(module)
+    for home in homes:
+        file = _file(module, [str(home)])
+        if imported and file and file != imported:
+            raise ConfigError(
+                str(file), f"Python imports {quote(module)} from {imported} instead; rename one of them"
+            )
+
+
+def _file(module: str, path: Sequence[str] | None = None) -> Path | None:
+    """A module's file on a path, by default where Python finds it; its packages are not imported."""
+    name, *parts = module.split(".")
+    spec = _spec(name) if path is None else PathFinder.find_spec(name, path)
+    for part in parts:
+        inside = spec.submodule_search_locations if spec else None
+        spec = PathFinder.find_spec(f"{name}.{part}", list(inside)) if inside else None
+    return Path(spec.origin).resolve() if spec and spec.has_location and spec.origin else None
+
+
 def _homes(name: str) -> set[Path]:
     """The folders in which a module or package lies, by its name without dots; it is not imported."""
-    if not name.isidentifier():
-        return set()
-    invalidate_caches()  # a notebook may have written it a moment ago
-    try:
-        spec = find_spec(name)
-    except (ImportError, ValueError):  # for example, for __main__
-        return set()
+    spec = _spec(name)
     if spec is None:
         return set()
     files = spec.submodule_search_locations or ([spec.origin] if spec.has_location and spec.origin else [])
     return {Path(file).parent.resolve() for file in files}
+
+
+def _spec(name: str) -> ModuleSpec | None:
+    """Where Python finds a module, by its name without dots; None if it finds none."""
+    if not name.isidentifier():
+        return None
+    invalidate_caches()  # a notebook may have written it a moment ago
+    try:
+        return find_spec(name)
+    except (ImportError, ValueError):  # for example, for __main__
+        return None

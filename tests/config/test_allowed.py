@@ -77,6 +77,19 @@ def test_what_lies_beside_a_folder_is_found_from_elsewhere(
     sys.modules.pop("apart", None)
 
 
+def test_a_module_that_hides_one_beside_a_folder_is_refused(project: Path) -> None:
+    """Also if it is allowed, or already imported."""
+    names = {"beside": "beside.py", "package.part": "package/part.py"}
+    other = write(project / "other", dict.fromkeys(names.values(), CLASS))
+    write(other, {f"conf/bias/{name}.yaml": f"_target_: {name}.Mine" for name in names})
+    assert bias_of("beside") == "Mine"
+    for name, file in names.items():
+        line = rf"^{other / file}: Python imports '{name}' from {project / file} instead; rename one of them$"
+        for allow in ([], [name]):
+            with pytest.raises(ConfigError, match=line):
+                compose([f"bias={name}"], other / "conf", allow)
+
+
 def test_what_is_not_allowed_is_not_imported(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sweep = "sweep: {trials: 1, axes: {}, figures: {one: {_target_: installed.Mine}}}"
     write(project, {"conf/sweeps/mine.yaml": sweep})
