@@ -137,14 +137,16 @@ def _of_recordings(parsed: argparse.Namespace) -> Request:
     from simbias.recordings.reading import columns
     from simbias.terminal.identify import Request
 
-    def places_among(words: Sequence[str]) -> list[str]:
-        return [word for word in words if os.path.exists(word) or not re.match(r"~[^/]|.*=", word)]
-
-    places, held_out = places_among(parsed.words), places_among(parsed.held_out)
+    places, held_out = _places(parsed.words), _places(parsed.held_out)
     overrides = [word for word in (*parsed.words, *parsed.held_out) if word not in (*places, *held_out)]
     named = columns(parsed.columns) if parsed.columns else None
     folder = Path(parsed.into)
     return Request(places, held_out, overrides, named, folder, parsed.config_dir, parsed.allow)
+
+
+def _places(words: Sequence[str]) -> list[str]:
+    """The words that name files or folders, and are no overrides."""
+    return [word for word in words if os.path.exists(word) or not re.match(r"~[^/]|.*=", word)]
 
 
 def _withdraw(parsed: argparse.Namespace) -> int:
@@ -195,10 +197,13 @@ def _show_config(parsed: argparse.Namespace) -> int:
 
 
 def _export(parsed: argparse.Namespace) -> int:
-    """Export the trials and sweeps of a folder to MLflow; unreadable ones are reported."""
+    """Export folders of trials and sweeps to MLflow, by default the store's; unreadable ones are reported."""
+    folders = _places(parsed.overrides)
+    parsed.overrides = [word for word in parsed.overrides if word not in folders]
     store = _mlflow(parsed)
-    for line in store.export_all():
-        print(line)
+    for folder in map(Path, folders) if folders else [None]:
+        for line in store.export(folder):
+            print(line)
     return FAILED if store.unshown else SUCCEEDED
 
 

@@ -22,7 +22,8 @@ Row = Mapping[str, Any]  # of an iteration: `simbias.trial.summary.iteration_sum
 def run_name(description: Mapping[str, Any]) -> str:
     """The name of a trial's run."""
     choices = description["choices"]
-    return f"{choices['bias']} {choices['optimizer']} seed {description['seed']}"
+    setup = f"{choices['task']} {choices['method']}, bias {choices['bias']}, {choices['optimizer']}"
+    return f"{setup}, seed {description['seed']}"
 
 
 def note(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import suppress
 from functools import cached_property, partial
@@ -14,7 +15,7 @@ from simbias.mlflow.store import database, reaching, trials_beside
 from simbias.mlflow.sweep import SweepRun
 from simbias.mlflow.trial import TrialExport
 from simbias.mlflow.ui import show
-from simbias.sweep.folder import SweepFolder, sweep_folders
+from simbias.sweep.folder import SWEEP, SweepFolder, sweep_folders
 from simbias.sweep.tracking import Export, Tracking
 from simbias.trial.folder import TRIAL, TrialFolder
 
@@ -48,7 +49,7 @@ class Mlflow(Tracking):
         self._experiment = experiment
         self._trials = trials
         self.pictures = pictures
-        self.unshown = 0  # trials and sweeps that `export_all` could not export
+        self.unshown = 0  # trials and sweeps that `export` could not export
 
     @cached_property
     def folder(self) -> Path:  # type: ignore[override]
@@ -80,18 +81,17 @@ class Mlflow(Tracking):
             page = self._runs.page(identity)
         show(self._uri, page, port)
 
-    def export_all(self) -> Iterator[str]:
-        """Export all trials and sweeps of the folder; yield a line for each sweep, and one for other trials.
+    def export(self, folder: Path | None = None) -> Iterator[str]:
+        """Export a trial, a sweep or a folder of trials, by default the store's.
 
+        Yield a line for each sweep, and one for other trials; a trial of a sweep is exported with the sweep.
         Unreadable ones, and copies beside their trials, are reported and counted in `unshown`. ConfigError if
         there are none, or the store cannot be used; what was exported before stays.
         """
-        folders = [file.parent for file in sorted(self.folder.glob(f"*/{TRIAL}"))]
-        if not folders:
-            raise ConfigError("tracking.trials", f"no trials in {self.folder}")
+        folders, sweeps = _trials_and_sweeps(folder or self.folder)
         in_sweeps: set[str] = set()
         with reaching(self._uri):
-            for sweep in sweep_folders(self.folder):
+            for sweep in sweeps:
                 run = SweepRun(self._runs, sweep)
                 if not readable(partial(run.write, final=True)):
                     self.unshown += 1
@@ -102,14 +102,35 @@ class Mlflow(Tracking):
                 in_sweeps |= about["trials"].keys()
                 self.unshown += run.shown.count(False)
                 yield f"sweep {about['name']}: {sum(run.shown)} of {counted(len(about['trials']), 'trial')}"
-            alone = [folder for folder in folders if folder.name not in in_sweeps]
-            exported = sum(readable(partial(self._write_alone, folder)) for folder in alone)
+            alone = [each for each in folders if each.name not in in_sweeps]
+            exported = sum(readable(partial(self._write_alone, each)) for each in alone)
             self.unshown += len(alone) - exported
-            yield f"{counted(exported, 'trial')} in no sweep"
+            if folders:
+                yield f"{counted(exported, 'trial')} in no sweep"
 
     def _write_alone(self, folder: Path) -> None:
         """Export a trial outside of sweeps; ConfigError for a copy, whose run would count the trial twice."""
         identity = str(TrialFolder(folder).description().get("hash"))
-        if identity != folder.name and (self.folder / identity / TRIAL).exists():
+        if identity != folder.name and (folder.parent / identity / TRIAL).exists():
             raise ConfigError(str(folder), f"is a copy of trial {identity}, which lies beside it")
         TrialExport(self._runs, folder).write()
+
+
+def _trials_and_sweeps(folder: Path) -> tuple[list[Path], list[SweepFolder]]:
+    """The folders of trials and sweeps that a folder is, or contains; ConfigError if there are none."""
+    place = Path(os.path.abspath(folder))  # its name and parents are needed, also of "."
+    if (place / TRIAL).is_file():
+        return [place], [each for each in sweep_folders(place.parent) if _records(each, place.name)]
+    if (place / SWEEP).is_file():
+        return [], [SweepFolder(place)]
+    trials = [file.parent for file in sorted(folder.glob(f"*/{TRIAL}"))]
+    if not trials:
+        raise ConfigError(str(folder), "is not the folder of a trial, of a sweep or of trials")
+    return trials, sweep_folders(folder)
+
+
+def _records(sweep: SweepFolder, trial: str) -> bool:
+    """Whether a sweep contains the trial with this hash; an unreadable one does not."""
+    with suppress(ConfigError):
+        return trial in sweep.trials_recorded()
+    return False

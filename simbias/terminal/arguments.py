@@ -37,7 +37,7 @@ examples:
   python -m simbias +sweep=table2 sweep.dry_run=true   # what would run, and how long
   python -m simbias check --config-dir my_conf nominal=my_robot   # does it keep its contract?
   python -m simbias new my_robot       # create a folder for your own robot, which runs as it is
-  python -m simbias export tracking.uri=sqlite:///other.db   # show the trials of ./trials in MLflow
+  python -m simbias export trials tracking.uri=sqlite:///other.db   # show all trials of a folder in MLflow
   python -m simbias ui                 # open MLflow; `ui HASH` at a trial or a sweep
   python -m simbias pictures trials/7a29f4c5425f my_pictures   # PNG, SVG, PDF and GIF
   python -m simbias identify RECORDINGS preset=double_pendulum   # a model from CSV files
@@ -126,12 +126,15 @@ def _add_composed(
     check = _add(commands, "check", "run the conformance suite on components", parents=[shown])
     about = "show what the first experiment is predicted to do"
     preview = _add(commands, "preview", about, "It writes preview.png.", parents=[shown])
-    export = _add(commands, "export", "show trials of a folder in an MLflow store", parents=[shown])
+    of_export = "Folders are of a trial, of a sweep or of all trials (default: tracking.trials)."
+    about = "show trials of a folder in an MLflow store"
+    export = _add(commands, "export", about, of_export, parents=[shown])
     ui = _add(commands, "ui", "open MLflow at a trial or a sweep", parents=[own])
     ui.add_argument("hash", nargs="?", help="hash of a trial or a sweep; without it, all are listed")
     ui.add_argument("--port", type=int, help="port of MLflow's server (default: 5000, or a free one)")
     for each in (run, check, preview, export, ui):
-        each.add_argument("overrides", nargs="*", metavar="override", help="group=option or group.key=value")
+        word = "folder|override" if each is export else "override"
+        each.add_argument("overrides", nargs="*", metavar=word, help="group=option or group.key=value")
 
 
 def _add_of_recordings(commands: Any, own: argparse.ArgumentParser) -> None:

@@ -108,7 +108,7 @@ def at(folder: Path, seed: int = 0) -> Path:
 
 
 def export(address: str, trials: Path) -> list[str]:
-    return list(Mlflow(address, trials=str(trials)).export_all())
+    return list(Mlflow(address, trials=str(trials)).export())
 
 
 def export_all(folder: Path) -> list[str]:
@@ -311,8 +311,19 @@ def test_a_folder_that_cannot_be_read_is_named_and_stops_no_other(
     assert f"{study(0).hash}/{TRIAL}: cannot be read" in said
     assert f"copy: is a copy of trial {study(1).hash}, which lies beside it" in said
     assert [*pages(uri(folder))] == ["1", "2", "3", "4"]
-    with pytest.raises(ConfigError, match=r"^tracking\.trials: no trials in "):
+    with pytest.raises(ConfigError, match=r"none: is not the folder of a trial, of a sweep or of trials$"):
         export(uri(folder), folder / "none")
+
+
+def test_a_folder_of_a_trial_or_of_trials_is_exported(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(at(folder, 1))
+    for places, seeds in (
+        (["."], "1"),
+        ([f"../{study(seed).hash}" for seed in (0, 3)], "013"),
+        ([".."], "01234"),
+    ):
+        assert main(["export", f"tracking.uri={uri(folder)}", *places]) == 0
+        assert [*pages(uri(folder))] == [*seeds]
 
 
 def test_many_and_long_parameters(folder: Path) -> None:

@@ -81,12 +81,12 @@ def test_a_store_that_was_moved_is_one_line(folder: Path, new_store: Path, hasty
     """MLflow keeps absolute addresses; from the trials it is made again."""
     trial, there = folder / "trials" / hasty.hash, folder.parent / "there"
     run_trial(hasty, trial)
-    list(Mlflow().export_all())
+    list(Mlflow().export())
     move(folder, there)
     moved = Mlflow(f"sqlite:///{there}/mlflow.db")
     copied = r"^tracking\.uri: was moved or copied: its files are in file:.*here"
     with pytest.raises(ConfigError, match=copied):
-        list(moved.export_all())
+        list(moved.export())
     assert left(folder) == set()
     shutil.copy(new_store, there / "another.db")
-    assert list(Mlflow(f"sqlite:///{there}/another.db").export_all()) == ["1 trial in no sweep"]
+    assert list(Mlflow(f"sqlite:///{there}/another.db").export()) == ["1 trial in no sweep"]

@@ -9,7 +9,7 @@ ABOUT = {
     "title": "algorithm1 on bongoboard: bias gp",
     "seed": 3,
     "hash": "abc123",
-    "choices": {"bias": "gp", "optimizer": "cma"},
+    "choices": {"task": "cartpole", "method": "algorithm1", "bias": "gp", "optimizer": "cma"},
 }
 
 
@@ -55,7 +55,7 @@ def test_it_has_the_trial_and_a_row_for_each_iteration() -> None:
         "| 1 |  | 1.2e+06 | 4 | 57 | 3.2 |  |",
     ]
     assert "|" not in note([])
-    assert notes.run_name(ABOUT) == "gp cma seed 3"
+    assert notes.run_name(ABOUT) == "cartpole algorithm1, bias gp, cma, seed 3"
 
 
 def test_a_long_one_keeps_the_last_rows_within_mlflows_limit() -> None:

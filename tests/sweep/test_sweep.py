@@ -485,6 +485,10 @@ def test_a_sweep_that_was_relabelled_is_shown_as_it_is_now_and_a_part_of_it_whol
     capsys.readouterr()
     damaged, gone = (folder / "trials" / run.data.tags["hash"] for run in trials)
     shutil.rmtree(gone)
+    for place, lines in ((sweep_folder(folder), 1), (damaged, 2)):
+        assert main(["export", str(place), store]) == 0
+        out = capsys.readouterr().out.splitlines()[-lines:]
+        assert out == ["sweep mine: 1 of 2 trials", "0 trials in no sweep"][:lines]
     assert main(["export", store]) == 0
     (damaged / "outcome.json").write_text("{")
     assert main(["export", store]) == 1
