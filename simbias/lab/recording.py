@@ -291,7 +291,7 @@ class Reader:
         each = zip(*((*piece.states.T, *piece.inputs.T) for piece in pieces), strict=True)
         for i, (quantity, values) in enumerate(zip(self._quantities, each, strict=True)):
             if np.ptp(np.concatenate(values)) == 0:
-                of_motor = "its motor's gain cannot be told from an offset"
+                of_motor = "its motor's gain cannot be distinguished from an offset"
                 lacks = "nothing is learned about its motion" if i < len(self._task.states) else of_motor
                 yield f"{quantity.name} never changes, so {lacks}"
 

@@ -38,7 +38,7 @@ from simbias.trial.run import TrialRecord, run_trial
 from simbias.trial.study import Study
 from simbias.trial.summary import Outcome, TrialSummary
 
-CONTINUE = "To go on from these experiments, raise method.max_iterations or budget, and add {} {}."
+CONTINUE = "To continue from these experiments, raise method.max_iterations or budget, and add {} {}."
 
 
 def run(

@@ -89,8 +89,8 @@ def _on_nominal_model(study: Study) -> Study:
     )
 
 
-@check("method", "experiments are counted, limited, recalled and repeated by seed (on the nominal model)")
-def _method_counts_and_recalls(study: Study) -> None:
+@check("method", "experiments are counted, limited, replayed and repeated by seed (on the nominal model)")
+def _method_counts_and_replays(study: Study) -> None:
     study = _on_nominal_model(study)
     made: list[Rollout] = []
     counts: list[int] = []  # after each iteration

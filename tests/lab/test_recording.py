@@ -262,7 +262,7 @@ def test_wrapped_angles_are_unwound(
     np.testing.assert_allclose(found.pieces[0].states[:, 0], angle, atol=1e-9)
     assert "pos1 was wrapped, and is unwrapped" in found.notes
     assert "pos2 never changes, so nothing is learned about its motion" in found.notes
-    assert "tau1 never changes, so its motor's gain cannot be told from an offset" in found.notes
+    assert "tau1 never changes, so its motor's gain cannot be distinguished from an offset" in found.notes
     rate = np.where(t < 1.0, 4.0, -1.0)
     later = table.assign(time=t + 9.0 * (t >= 1.0), pos1=rate * t, vel1=rate)
     np.testing.assert_allclose(read(later).pieces[1].states[:, 0], -t[500:], atol=1e-9)  # not across a gap

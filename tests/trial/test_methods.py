@@ -28,7 +28,7 @@ from simbias.trial.summary import Outcome, iteration_summary
 
 
 class Gusty(InTheWind):
-    """Draws from its generator, which an experiment that is recalled does not."""
+    """Draws from its generator, which an experiment that is replayed does not."""
 
     def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
         rng.standard_normal()

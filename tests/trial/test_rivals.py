@@ -60,7 +60,7 @@ METHODS: dict[str, Method] = {
 @pytest.mark.slow
 @pytest.mark.usefixtures("uncompiled")
 def test_each_keeps_the_contract_and_is_resumed(hasty: Study) -> None:
-    """Counted experiments, no more than it may make, recalled when a trial is started again."""
+    """Counted experiments, no more than it may make, replayed when a trial is started again."""
     for name, method in METHODS.items():
         for verdict in verdicts(replace(hasty, method=method), ["method"]):
             assert not verdict.problem, name
