@@ -136,7 +136,7 @@ def test_an_error_within_a_library_is_told_by_the_method_and_line_that_called_it
     with pytest.raises(np.linalg.LinAlgError) as caught:
         Inverts().learn(no_data, [], cast(Nominal, None))  # which calls `fit`
     said = r"Inverts\.fit: expected a result, got LinAlgError: Singular matrix \(test_newcomers\.py:\d+\)"
-    assert re.fullmatch(said, error_origin.told(caught.value))
+    assert re.fullmatch(said, error_origin.with_origin(caught.value))
 
 
 @pytest.mark.slow

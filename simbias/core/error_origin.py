@@ -23,7 +23,7 @@ def is_own(component: Any) -> bool:
     return type(component).__module__.partition(".")[0] != PACKAGE
 
 
-def told(error: BaseException) -> str:
+def with_origin(error: BaseException) -> str:
     """The message of an error; if it arose in a user's component, with class, method and the line there."""
     blamed, source, place = None, "", ""
     frames = [*traceback.walk_tb(error.__traceback__)]

@@ -119,8 +119,8 @@ class Reader:
             if i < len(self._task.states) and quantity.unit in TURNS:
                 found[i] = found[i]._replace(values=self._unwound(file, name, quantity, found[i], notes))
         if same[0] > SAME * same[1]:
-            told = f"{same[0]} of {same[1]} samples have the same time as the previous one"
-            notes.append(f"{told}; only the first of each time counts")
+            text = f"{same[0]} of {same[1]} samples have the same time as the previous one"
+            notes.append(f"{text}; only the first of each time counts")
         self._check_period(file, found, bool(time_unit or file.unit(time)))
         return found
 
@@ -270,14 +270,14 @@ class Reader:
         """Notes on inputs beyond their limits; those far beyond are refused."""
         inputs, notes = np.abs(np.concatenate([piece.inputs for piece in pieces])), []
         for each, values, limit in zip(self._task.inputs, inputs.T, self._task.input_limit, strict=True):
-            told = f"{each.unit}, beyond the limit of {limit:g} {each.unit}"
+            text = f"{each.unit}, beyond the limit of {limit:g} {each.unit}"
             if (usual := np.quantile(values, MOSTLY)) > TWICE * limit:
                 column = f"{path}: column {self._columns[each.name]}"
                 raise HardwareError(
-                    f"{column}: {each.name} reaches {usual:.3g} {told}: is a unit or a column wrong?"
+                    f"{column}: {each.name} reaches {usual:.3g} {text}: is a unit or a column wrong?"
                 )
             if (most := values.max()) > TOLERANCE * limit:
-                notes.append(f"{each.name} reaches {most:.3g} {told} (means over frames)")
+                notes.append(f"{each.name} reaches {most:.3g} {text} (means over frames)")
         return notes
 
     def _late(self, delays: Mapping[int, float]) -> Iterator[str]:

@@ -61,8 +61,8 @@ class Signals(ABC):
 
     def places(self, numbers: Sequence[float] | Array) -> str:
         """The names of places, of which the first few are listed."""
-        told = ", ".join(self.place(number) for number in numbers[:MOST_TOLD])
-        return told + f" and {len(numbers) - MOST_TOLD} other places" * (len(numbers) > MOST_TOLD)
+        text = ", ".join(self.place(number) for number in numbers[:MOST_TOLD])
+        return text + f" and {len(numbers) - MOST_TOLD} other places" * (len(numbers) > MOST_TOLD)
 
     @abstractmethod
     def has(self, name: str) -> bool:
@@ -178,8 +178,8 @@ class Messages(Signals):
         self.notes = _misaligned(delays(bounds, arrivals, times), headed)
         if len(bounds):
             times = cut_at(bounds, arrivals, times)
-            told = f"a clock is reset or stepped at {self.places(bounds[:, 0] - begin)}"
-            self.notes = (*self.notes, f"{told}: all topics are cut there")
+            text = f"a clock is reset or stepped at {self.places(bounds[:, 0] - begin)}"
+            self.notes = (*self.notes, f"{text}: all topics are cut there")
         found = {}
         for topic, instants in times.items():
             order = np.argsort(instants, kind="stable")[: np.sum(~np.isnan(instants))]  # NaN is last
@@ -240,11 +240,11 @@ def _misaligned(late: Mapping[str, float], headed: Collection[str]) -> tuple[str
     """A note if topics differ in the time from header to arrival, in s, or some have no headers."""
     if not late or np.ptp(list(late.values())) <= UNEQUAL:
         return ()
-    told = [
+    texts = [
         f"{topic} {0.0 - round(each, 3):g} s" if topic in headed else f"{topic} none"
         for topic, each in late.items()
     ]
-    return (f"header times minus arrival times: {', '.join(told)}; topics may be misaligned",)
+    return (f"header times minus arrival times: {', '.join(texts)}; topics may be misaligned",)
 
 
 def _stamp(message: Any) -> float | None:

@@ -19,7 +19,7 @@ class WithTargets(Policy):
     def __init__(self, policy: Policy, targets: Array, quantities: Sequence[Quantity]) -> None:
         self.policy, self.targets = policy, targets
         named = zip(quantities, targets, strict=True)
-        self.told = [f"{quantity.name} = {value:g} {quantity.unit}" for quantity, value in named]
+        self.texts = [f"{quantity.name} = {value:g} {quantity.unit}" for quantity, value in named]
         self.n_parameters, self.bounds = policy.n_parameters, policy.bounds
         self.state_size = policy.state_size
 
@@ -31,7 +31,7 @@ class WithTargets(Policy):
     def law(self, theta: Array) -> Law:
         """The policy's law, with the targets."""
         law = self.policy.law(theta)
-        return Law(f"{law.words}; targets: {', '.join(self.told)}", {**law.numbers, "targets": self.targets})
+        return Law(f"{law.words}; targets: {', '.join(self.texts)}", {**law.numbers, "targets": self.targets})
 
 
 def beside(rollout: Rollout, targets: Array) -> Rollout:

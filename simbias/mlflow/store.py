@@ -88,7 +88,7 @@ def reaching(uri: str) -> Iterator[None]:
         raise
     except Exception as error:
         words = cause(error)
-        problem = next((told for part, told in KNOWN.items() if part in words), words)
+        problem = next((text for part, text in KNOWN.items() if part in words), words)
         raise ConfigError("tracking.uri", redact(f"{uri}: {problem}", uri)) from error
 
 

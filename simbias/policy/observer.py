@@ -191,13 +191,13 @@ class KalmanFilter(Observer):
     def _delay(self) -> int:
         """Frames until more than half of an input acts; 0 if inputs have no effect."""
         nominal, limit = self._nominal, input_scale(self._task)
-        x, hidden = np.zeros((2, len(self.gain))), np.zeros((2, nominal.state_size))
+        x, model_state = np.zeros((2, len(self.gain))), np.zeros((2, nominal.state_size))
         u = np.stack([limit, 0.0 * limit])
         at_once = np.abs(np.subtract(*nominal.step(x, u))).sum()
         if not at_once:  # such as a model of positions and rates alone
             return 0
         for frames in range(MOST_AHEAD):
-            moved, hidden = nominal.advance(x, u, hidden)
+            moved, model_state = nominal.advance(x, u, model_state)
             if np.abs(np.subtract(*moved)).sum() > 0.5 * at_once:
                 return frames
         return MOST_AHEAD
@@ -218,9 +218,9 @@ class KalmanFilter(Observer):
 
     def ahead(self, estimate: Array, kept: Array) -> Array:
         """The state (..., n) after the frames in which the inputs already sent act."""
-        hidden, nothing = kept[..., len(self.gain) :], 0.0 * estimate[..., : len(self._task.inputs)]
+        model_state, nothing = kept[..., len(self.gain) :], 0.0 * estimate[..., : len(self._task.inputs)]
         for _ in range(self.frames_ahead):
-            estimate, hidden = self._nominal.advance(estimate, nothing, hidden)
+            estimate, model_state = self._nominal.advance(estimate, nothing, model_state)
         return estimate
 
 

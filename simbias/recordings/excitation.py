@@ -98,8 +98,8 @@ class Designer:
         """
         window, task = self._posterior.window, self._study.task
         if task.frames(seconds) < FEWEST:
-            told = f"{task.time_step:g} s is too long for inputs of {seconds:g} s"
-            raise ConfigError("task.time_step", f"{told}, which need at least {FEWEST} frames")
+            text = f"{task.time_step:g} s is too long for inputs of {seconds:g} s"
+            raise ConfigError("task.time_step", f"{text}, which need at least {FEWEST} frames")
         if task.frames(seconds) < task.frames(window):
             raise ConfigError("identification.window", f"{window:g} s is longer than inputs of {seconds:g} s")
         best: tuple[float, Array, Excitation] | None = None

@@ -96,8 +96,8 @@ def read(
             notes[f"{counted(left, 'piece')} shorter than {needed.window:g} s left out"].append(name)
         rollouts[name], times[name] = zip(*pieces, strict=True)
         extents.append(f"{name} {_extent(study.task, rollouts[name], times[name])}")
-    told = tuple(f"{', '.join(names)}: {note}" for note, names in notes.items())
-    return Recordings(rollouts, times, told, ", ".join(extents), "; ".join(doubts))
+    texts = tuple(f"{', '.join(names)}: {note}" for note, names in notes.items())
+    return Recordings(rollouts, times, texts, ", ".join(extents), "; ".join(doubts))
 
 
 def _reader(study: Study, columns: Mapping[str, str] | None) -> Reader:

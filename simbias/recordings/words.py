@@ -107,9 +107,9 @@ def parameter_rows(assessment: Assessment) -> Iterator[Sequence[str]]:
 def own_lines(assessment: Assessment) -> Iterator[str]:
     """A line for each recording with specific parameters, such as zeros or a payload."""
     for name, estimates in assessment.own_estimates.items():
-        told = [f"{e.name} {e.value:.4g} ({e.low:.4g} .. {e.high:.4g}) {e.unit}" for e in estimates]
-        if told:
-            yield f"{name}: {', '.join(told)}"
+        texts = [f"{e.name} {e.value:.4g} ({e.low:.4g} .. {e.high:.4g}) {e.unit}" for e in estimates]
+        if texts:
+            yield f"{name}: {', '.join(texts)}"
 
 
 def error_names(assessment: Assessment) -> list[str]:
@@ -153,14 +153,14 @@ def undetermined_lines(assessment: Assessment) -> Iterator[str]:
 def reach_lines(assessment: Assessment) -> Iterator[str]:
     """A line for each part that extends beyond its model's training data."""
     for name, reaches in assessment.reaches.items():
-        told = [
+        texts = [
             f"{each.name} goes from {each.range[0]:.3g} to {each.range[1]:.3g} {each.unit}, but the model "
             f"was fitted to data from {each.learned[0]:.3g} to {each.learned[1]:.3g} "
             f"({100 * each.share:.0f}% of the frames are outside)"
             for each in reaches
         ]
-        if told:
-            yield f"In {name}, {'; '.join(told)}. Do not rely on the 90% regions there."
+        if texts:
+            yield f"In {name}, {'; '.join(texts)}. Do not rely on the 90% regions there."
 
 
 def advice(assessment: Assessment, excitation: Excitation | str) -> Iterator[str]:
@@ -191,10 +191,10 @@ def _narrowing(assessment: Assessment, excitation: Excitation) -> Iterator[str]:
     own = np.array([finding.prior.of_recording for finding in assessment.findings], bool)
     gained[own] = 0.0  # not useful for other recordings
     worth = gained > WORTH
-    told = [f"{names[i]} (by about {100 * gained[i]:.0f}%)" for i in np.argsort(-gained) if worth[i]]
+    texts = [f"{names[i]} (by about {100 * gained[i]:.0f}%)" for i in np.argsort(-gained) if worth[i]]
     seconds = excitation.rollout.frames * assessment.task.time_step
-    if told:
-        yield f"{seconds:g} s of the inputs in excitation.csv should narrow {', '.join(told)}."
+    if texts:
+        yield f"{seconds:g} s of the inputs in excitation.csv should narrow {', '.join(texts)}."
     else:
         least = f"{100 * WORTH:.0f}%"
         yield f"Another {seconds:g} s within the limits should narrow every parameter by less than {least}."

@@ -2,8 +2,8 @@
 
     u_acts = offset + lag(limited(gain u(t - delay)))
 
-The kernels below put actuators in front of any robot's kernel, in the lanes of vector registers. Their memory
-is zero at the start, as nothing was commanded before.
+The kernels below put actuators in front of any robot's kernel, in the lanes of vector registers. Their model
+state is zero at the start, as nothing was commanded before.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class Actuators:
         self.kernel = Kernel(_act(len(actuators), taps), self._parameters.ravel())
 
     def before(self, mechanics: Kernel) -> Kernel:
-        """The kernel, with memory, of these actuators in front of a nominal model without memory."""
+        """The kernel of these actuators, with their model state, in front of a nominal model without one."""
         act = self.kernel
         function = _composed(act.function, len(act.parameters), mechanics.function)
         return Kernel(function, np.concatenate([act.parameters, mechanics.parameters]))
@@ -79,19 +79,19 @@ class Actuators:
         gain, offset, limit = self._parameters[:, :3].T
         return limited(gain * u, limit) + offset
 
-    def acting(self, u: Array, memory: Array) -> tuple[Array, Array]:
-        """The acting input (..., m) when u (..., m) is commanded, and memory (..., s) for the next frame."""
+    def acting(self, u: Array, model_state: Array) -> tuple[Array, Array]:
+        """The acting input (..., m) when u (..., m) is commanded, and the next model state (..., s)."""
         m, act = len(self._parameters), self.kernel.function
 
-        def both(u, memory, parameters):
-            acting, kept = act(u, parameters, memory)
+        def both(u, model_state, parameters):
+            acting, kept = act(u, parameters, model_state)
             return (*acting, *kept)
 
-        rows = elementwise(both, u, memory, parameters=self.kernel.parameters)
+        rows = elementwise(both, u, model_state, parameters=self.kernel.parameters)
         return rows[..., :m], rows[..., m:]
 
     def model_states(self, inputs: Array) -> Array:
-        """Memory (k, s) in each frame of a record of inputs (k, m), from its start."""
+        """Model state (k, s) in each frame of a record of inputs (k, m), from its start."""
         from scipy.signal import lfilter  # would take half of the time of `import simbias`, and few need it
 
         k, columns = len(inputs), []
@@ -134,24 +134,24 @@ def _act(inputs: int, taps: int, first: int = 0) -> Callable:
 
     The parameters of each input are: gain, offset, limit, the share of the lag's state kept per frame, the
     weight of that state in the acting input, and the weights of current and earlier inputs, in the lag's
-    state and in the acting input. The memory is the lag's state and the earlier inputs.
+    state and in the acting input. The model state is the lag's state and the earlier inputs.
     """
     if first == inputs:
-        return lambda u, parameters, memory: ((), ())
+        return lambda u, parameters, model_state: ((), ())
     others = _act(inputs, taps, first + 1)
     p, s = first * (7 + 2 * taps), first * (1 + taps)
     earlier, oldest = s + 1, s + taps
     at_end, of_mean = (_weighted(p + 5 + own * (1 + taps), first, earlier, taps) for own in (0, 1))
 
-    def act(u, parameters, memory):
-        """The acting inputs, and the memory for the next frame."""
+    def act(u, parameters, model_state):
+        """The acting inputs, and the model state for the next frame."""
         gain, limit, keep, before = parameters[p], parameters[p + 2], parameters[p + 3], parameters[p + 4]
-        target = limited(gain * at_end(u, parameters, memory), limit)
-        mean = limited(gain * of_mean(u, parameters, memory), limit)
-        lagged = keep * memory[s] + (1.0 - keep) * target
-        acts = before * memory[s] + (1.0 - before) * mean
-        acting, kept = others(u, parameters, memory)
-        inputs_before = ((u[first],) + memory[earlier:oldest])[:taps]  # noqa: RUF005 (for Numba)
+        target = limited(gain * at_end(u, parameters, model_state), limit)
+        mean = limited(gain * of_mean(u, parameters, model_state), limit)
+        lagged = keep * model_state[s] + (1.0 - keep) * target
+        acts = before * model_state[s] + (1.0 - before) * mean
+        acting, kept = others(u, parameters, model_state)
+        inputs_before = ((u[first],) + model_state[earlier:oldest])[:taps]  # noqa: RUF005 (for Numba)
         return (acts + parameters[p + 1],) + acting, (lagged,) + inputs_before + kept  # noqa: RUF005
 
     return act
@@ -159,18 +159,18 @@ def _act(inputs: int, taps: int, first: int = 0) -> Callable:
 
 def _weighted(first: int, number: int, earlier: int, taps: int) -> Callable:
     """The weighted sum of current and earlier inputs; weights begin at parameter `first`."""
-    terms = [f"parameters[{first + 1 + j}] * memory[{earlier + j}]" for j in range(taps)]
+    terms = [f"parameters[{first + 1 + j}] * model_state[{earlier + j}]" for j in range(taps)]
     sums = f"parameters[{first}] * u[{number}] + ({sum_of(terms)})"
-    return function_of(f"def weighted(u, parameters, memory): return {sums}", "weighted")
+    return function_of(f"def weighted(u, parameters, model_state): return {sums}", "weighted")
 
 
 @lru_cache(maxsize=64)
 def _composed(act: Callable, count: int, step: Callable) -> Callable:
     """The kernel of actuators in front of a robot's; the first `count` parameters are the actuators'."""
 
-    def advance(x, u, parameters, memory):
-        """x_next, and the memory for the next frame."""
-        acting, kept = act(u, parameters, memory)
+    def advance(x, u, parameters, model_state):
+        """x_next, and the model state for the next frame."""
+        acting, kept = act(u, parameters, model_state)
         return step(x, acting, parameters[count:]), kept
 
     return advance

@@ -153,7 +153,7 @@ def predict(models: Sequence[PredictionModel], windows: Windows, bias: FittedBia
 
 
 def _remembers_states(nominal: Nominal, windows: Windows) -> bool:
-    """Whether a model's memory depends on states; a compiled loop would use predicted, not recorded ones."""
+    """Whether a model state depends on states; a compiled loop would use predicted, not recorded ones."""
     if not nominal.state_size:
         return False
     x, u = windows.states[:SOME], windows.inputs[:SOME]
@@ -165,13 +165,13 @@ def _compiled(
 ) -> Array:
     """Means (k, w, J, n) of k models, by kernels in lanes and threads."""
     n, m = windows.states.shape[1], windows.inputs.shape[1]
-    memory = (nominal.state_size, nominal.acting) if nominal else (0, ())
-    if not memory[0]:
+    model_state = (nominal.state_size, nominal.acting) if nominal else (0, ())
+    if not model_state[0]:
         windows = windows.apart  # to use all lanes and threads
     chunks = windows.frames // windows.chunk
     means = np.empty((len(offsets), chunks.sum(), n))
     loop = partial(
-        compile_open_loop(Function.of(step), Function.of(correct), n, m, *memory),
+        compile_open_loop(Function.of(step), Function.of(correct), n, m, *model_state),
         *(windows.window, windows.chunk, step.parameters, correct.parameters, offsets),
         *(windows.firsts, windows.leads, windows.frames, np.cumsum(chunks) - chunks),
         *map(np.ascontiguousarray, (windows.begin, windows.inputs)),  # otherwise another loop is compiled

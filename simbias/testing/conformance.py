@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 from threadpoolctl import threadpool_limits
 
-from simbias.core.error_origin import told
+from simbias.core.error_origin import with_origin
 from simbias.core.messages import brief
 from simbias.testing import learners, robots, searches, studies  # noqa: F401  (they register their checks)
 from simbias.testing.expectations import CHECKS, Check, ConformanceError
@@ -53,7 +53,7 @@ def verdicts(study: Study, groups: Collection[str], checks: Collection[Check] = 
 def _problem(study: Study, group: str, error: BaseException) -> str:
     """An error as a problem in words, with the name of the component's class."""
     component = type(getattr(study, group)).__name__
-    text = told(error)
+    text = with_origin(error)
     if isinstance(error, ConformanceError):
         text = brief(str(error))
         if f"{group}." in text:

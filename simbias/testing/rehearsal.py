@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from threadpoolctl import threadpool_limits
 
-from simbias.core.error_origin import is_own, told
+from simbias.core.error_origin import is_own, with_origin
 from simbias.core.errors import ConfigError
 from simbias.testing.conformance import CHECKS, verdicts
 from simbias.trial.study import Study
@@ -36,4 +36,4 @@ def rehearse(study: Study) -> None:
     except (ConfigError, KeyboardInterrupt):
         raise
     except BaseException as error:
-        raise ConfigError("", told(error)) from error
+        raise ConfigError("", with_origin(error)) from error

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from simbias.core import Controller, Waiting, platform
 from simbias.core.digest import short_digest
-from simbias.core.error_origin import has_own_code, told
+from simbias.core.error_origin import has_own_code, with_origin
 from simbias.core.errors import ConfigError
 from simbias.core.messages import counted, with_trace, with_type, words
 from simbias.core.records import Iteration, Rollout
@@ -120,7 +120,7 @@ def run_trial(study: Study, folder: Path | None = None, observer: Observer | Non
                     str(kept.folder.path / TRIAL), f"cannot be read ({with_type(error)})"
                 ) from error
             trace = "" if isinstance(error, ConfigError) and not has_own_code(error) else with_trace(error)
-            record = run.record(Outcome.ERROR, f"{run.episode}{told(error)}", trace)
+            record = run.record(Outcome.ERROR, f"{run.episode}{with_origin(error)}", trace)
         return run.stop(record)
 
 

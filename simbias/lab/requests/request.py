@@ -56,7 +56,7 @@ class ExperimentRequest:
     def targets(self) -> list[str]:
         """The targets of the experiment, which its policy knows, in words."""
         policy = without_limits(self.policy)
-        return policy.told if isinstance(policy, WithTargets) else []
+        return policy.texts if isinstance(policy, WithTargets) else []
 
     @cached_property
     def formulas(self) -> Formulas | str:

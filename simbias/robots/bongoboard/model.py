@@ -48,7 +48,7 @@ class LagrangianBongoboard(Nominal):
     Raises
     ------
     ValueError
-        If the delay may exceed the memory, or a name belongs to no uncertainty.
+        If the delay may be too many frames, or a name belongs to no uncertainty.
     """
 
     kernel: Kernel
@@ -136,7 +136,7 @@ class LagrangianBongoboard(Nominal):
         return self._stepped(x, acting), model_state
 
     def model_states(self, states: Array, inputs: Array) -> Array:
-        """The motor's memory (k, s) of the inputs in each frame of a record."""
+        """The model state (k, s), that of the motor, in each frame of a record."""
         return np.empty((len(inputs), 0)) if self._actuators is None else self._actuators.model_states(inputs)
 
     def _stepped(self, x: Array, torque: Array) -> Array:

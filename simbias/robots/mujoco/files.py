@@ -52,9 +52,9 @@ def read_model(file: str, actuators: Sequence[str] = ()) -> Any:
     try:
         return _spec(path, actuators).compile()
     except Exception as error:  # MuJoCo's, of many types
-        told = words(error)
-        hint = " (motion needs no geometry: visual and collision may be removed)" * ("package:/" in told)
-        raise ValueError(f"{file}: {told}{hint}") from error
+        text = words(error)
+        hint = " (motion needs no geometry: visual and collision may be removed)" * ("package:/" in text)
+        raise ValueError(f"{file}: {text}{hint}") from error
 
 
 def source_files(file: str) -> list[Path]:

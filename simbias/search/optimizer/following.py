@@ -159,8 +159,8 @@ class Following:
 
     def _gains(self, M: Array, Q: Array, weight: float, final: Array | None) -> Array:
         """K_t (T+1, m, n) of the time-varying regulator along M, ending with the regulator at rest."""
-        hidden = 0, M.shape[1] - self._n
-        Q = np.pad(Q, ((0, 0), hidden, hidden))
+        padding = 0, M.shape[1] - self._n
+        Q = np.pad(Q, ((0, 0), padding, padding))
         R, V = weight * np.diag(self._task.input_limit**-2.0), Q[-1]
         settled = np.empty((0, self._m, len(V)))
         if final is not None:

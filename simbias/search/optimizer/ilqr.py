@@ -194,11 +194,11 @@ class Shooting:
         """A trajectory that costs less, if there is one."""
         task, weights = self._task, self._weights
         M = self.following.slopes(plan.states, plan.inputs)
-        hidden = 0, M.shape[1] - self._n
+        padding = 0, M.shape[1] - self._n
         G = self.following.goal_slopes(plan.states)
         e = task.aim(plan.states) - self._goal
-        slope = np.pad(np.einsum("tg,tgn->tn", weights * e, G), ((0, 0), hidden))
-        curvature = np.pad(np.einsum("tg,tgi,tgj->tij", weights, G, G), ((0, 0), hidden, hidden))
+        slope = np.pad(np.einsum("tg,tgn->tn", weights * e, G), ((0, 0), padding))
+        curvature = np.pad(np.einsum("tg,tgi,tgj->tij", weights, G, G), ((0, 0), padding, padding))
         if keeping := self._keeping:
             E = derivatives(keeping.excess, plan.states, np.full(self._n, STEP))
             slope[:, : self._n] += keeping.weight * np.einsum("tc,tcn->tn", keeping.excess(plan.states), E)
