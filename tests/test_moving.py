@@ -5,13 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from figures import lines
+from figures import lines, texts
 
 import simbias
 from simbias.core import Task
 from simbias.core.records import Array, Disturbance, Rollout
 from simbias.cost.declared import Declared
-from simbias.pictures import NoPictureError, following
+from simbias.pictures import NoPictureError, following, overview
 from simbias.pictures.elements.style import HARDWARE
 from simbias.policy.trajectory import Trajectory
 from simbias.search.optimizer.following import Following
@@ -21,6 +21,7 @@ from simbias.simulation.numpy_loop import PlainSimulator
 from simbias.trial.diagnostics import of_experiments, of_goal, of_prediction
 from simbias.trial.steps import Stopwatch, iteration_record
 from simbias.trial.study import Study
+from simbias.trial.summary import iteration_summary
 
 SHORT = ["task.horizon=100", "task.hold=0.5", "policy.knots=51", "identification=none", "tracking=none"]
 
@@ -97,6 +98,10 @@ def test_a_trial_swings_up_a_cart_pole_with_friction_and_a_weak_motor() -> None:
     held = np.abs(study.task.error(rollout.states, 0.0)[-51:, 1])  # of the angle in the last second
     assert rollout.states[0, 1] == pytest.approx(np.pi, abs=0.3)
     assert held.max() < 0.2
+    uptime = study.task.uptime(rollout.states)
+    assert 0.2 < uptime < 0.9
+    assert iteration_summary(study, last, ())["metrics"]["experiments/uptime_min"] == uptime
+    assert f"hardware: cartpole_swingup, uptime {uptime:.0%}" in texts(overview(study, [last]))
     start = study.task.start_mean
     T = study.task.horizon
     assert study.task.succeeds(np.tile(start, (T + 1, 1))) is False

@@ -127,6 +127,13 @@ class Task(ABC):
         """Whether an episode with states (T+1, n) that has not failed succeeds; None: its cost decides."""
         return None
 
+    def uptime(self, states: Array) -> float:
+        """The share of the horizon in which an episode with states (T+1, n) meets the conditions of success.
+
+        Frames after a failure do not meet them. nan: the task states no conditions on single frames.
+        """
+        return np.nan
+
     @property
     def says_success(self) -> bool:
         """Whether the task decides which episodes succeed; otherwise their costs decide."""

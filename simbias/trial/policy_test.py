@@ -44,6 +44,7 @@ class Episode(NamedTuple):
     failure: str | None
     succeeds: bool | None = None  # by the task; None: lasting for the task's horizon counts, at any cost
     errors: Sequence[float] = ()  # (g,) root mean square error of each goal quantity, while it lasted
+    uptime: float = np.nan  # share of the requested duration in which the conditions of success hold
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,22 +98,27 @@ class PolicyTestResult:
         return float(np.mean([each.seconds for each in self.long_episodes] or [np.nan]))
 
     @property
+    def uptime(self) -> float:
+        """Mean uptime of the episodes; nan if the task states no conditions of success."""
+        return float(np.mean([each.uptime for each in self.episodes]))
+
+    @property
     def words(self) -> str:
         """The result in one sentence."""
+        uptime = "" if np.isnan(self.uptime) else f"; mean uptime {self.uptime:.0%}"
         succeeded = counted_share(self.successes.count("1"), len(self.episodes))
         lasting, count = all(each.succeeds is None for each in self.episodes), len(self.long_episodes)
         does = "lasts without a failure" if lasting else "succeeds"
         said = f"Its last policy {does} in {succeeded} test episodes"
         if not count:
-            return f"{said} of {self.horizon:g} s."
+            return f"{said} of {self.horizon:g} s{uptime}."
         lasted = counted_share(sum(each.failure is None for each in self.long_episodes), count)
         long = f"{self.long_episodes[0].asked_seconds:g} s"
         of = f" of {self.horizon:g} s"
         if not lasting:  # success is decided at an episode's own end
             of = f": {len(self.episodes) - count}{of} and {count} of {long}"
-        return (
-            f"{said}{of}, and lasts in {lasted} of {long} (they last {self.long_seconds:.0f} s on average)."
-        )
+        average = f"they last {self.long_seconds:.0f} s on average"
+        return f"{said}{of}, and lasts in {lasted} of {long} ({average}){uptime}."
 
 
 def run_policy_test(
@@ -142,14 +148,16 @@ def run_policy_test(
         succeeds = None if succeeds is None else succeeds and rollout.failure is None
         times = task.time_step * np.arange(len(rollout.states))
         errors = np.sqrt(np.mean(np.square(own.task.error(rollout.states, times)), axis=0))
-        episodes.append(Episode(start, asked, lasted, rollout.failure, succeeds, errors.tolist()))
+        uptime = own.task.uptime(rollout.states)
+        episodes.append(Episode(start, asked, lasted, rollout.failure, succeeds, errors.tolist(), uptime))
     return PolicyTestResult(task.horizon * task.time_step, tuple(episodes))
 
 
 def episodes_csv(result: PolicyTestResult, task: Task) -> str:
-    """A row for each episode: its start, requested and actual duration, failure, success, errors.
+    """A row for each episode: its start, requested and actual duration, failure, success, errors, uptime.
 
-    Success is 1 or 0. Errors are root mean squares of each goal quantity.
+    Success is 1 or 0. Errors are root mean squares of each goal quantity. If the task states no conditions of
+    success, there is no uptime.
     """
     import pandas as pd  # lazily: workers do not need it
 
@@ -160,4 +168,7 @@ def episodes_csv(result: PolicyTestResult, task: Task) -> str:
         (*e.start.tolist(), e.asked_seconds, e.seconds, e.failure or "", succeeded, *e.errors)
         for e, succeeded in zip(result.episodes, result.successes, strict=True)
     ]
-    return pd.DataFrame(rows, columns=names).to_csv(index=False, float_format="%.6g", lineterminator="\n")
+    table = pd.DataFrame(rows, columns=names)
+    if not np.isnan(result.uptime):
+        table["uptime"] = [each.uptime for each in result.episodes]
+    return table.to_csv(index=False, float_format="%.6g", lineterminator="\n")

@@ -255,6 +255,7 @@ class _Run(Observer):
             success_rate=test.success_rate if test else nan,
             long_success_rate=test.long_success_rate if test else nan,
             long_seconds=test.long_seconds if test else nan,
+            uptime=test.uptime if test else nan,
             policy=short_digest(self._iterations[-1].parameters.tobytes()) if self._iterations else "",
             test_words=test.words if test else "",
             claim=str(claim) if claim else "",

@@ -73,6 +73,7 @@ class TrialSummary:
     success_rate: float = nan  # share of test episodes
     long_success_rate: float = nan  # share of the long test episodes
     long_seconds: float = nan  # mean duration of the long test episodes
+    uptime: float = nan  # mean over the test episodes
     policy: str = ""  # a digest of the last policy's parameters
     test_words: str = ""  # the test in one sentence
     claim: str = ""  # by its experiments, about the last policy: holds 90% of starts (80% to 96%)
@@ -124,6 +125,7 @@ class TrialSummary:
             "test/success_rate": self.success_rate,
             "test/long_success_rate": self.long_success_rate,
             "test/long_seconds": self.long_seconds,
+            "test/uptime": self.uptime,
         }
         return {name: value for name, value in numbers.items() if isfinite(value)}
 
@@ -166,6 +168,9 @@ def iteration_summary(study: Study, iteration: Iteration, earlier: Sequence[Iter
         "seconds": dict(iteration.seconds),
         "metrics": metrics(iteration),
     }
+    uptimes = [study.task.uptime(rollout.states) for rollout in iteration.experiments]
+    if isfinite(worst := min(uptimes, default=nan)):
+        summary["metrics"]["experiments/uptime_min"] = worst
     if search is not None:
         summary |= {"predicted_cost": search.predicted_cost, "stopped_by": search.optimum.stopped_by}
     if iteration.model is not None and (estimates := iteration.model.nominal.estimates):

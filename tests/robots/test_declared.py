@@ -212,6 +212,9 @@ def test_success_is_the_tasks_and_holds_at_the_end() -> None:
         assert task.succeeds(episode) is succeeds
         assert own.passes(Rollout(episode, np.zeros((len(t) - 1, 1)), cost=1e9)) is succeeds
     assert not own.passes(Rollout(states, np.zeros((len(t) - 1, 1)), len(t) - 1, "falls"))
+    assert task.uptime(states) == pytest.approx(np.mean(t > 3.89))
+    assert task.uptime(states[t < 4.5]) == pytest.approx(np.mean((t > 3.89) & (t < 4.5)))  # it failed then
+    assert np.isnan(declared().uptime(states))
 
 
 def test_starts_are_of_any_distribution() -> None:

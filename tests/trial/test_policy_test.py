@@ -130,6 +130,11 @@ def test_its_result_in_numbers_and_words() -> None:
     own = PolicyTestResult(5.0, tuple(each._replace(succeeds=each.seconds > 5) for each in episodes))
     assert f"Its last policy succeeds {counts}: 1 of 5 s and 2 of 60 s{lasts}" in own.words
     assert "they last 34 s on average" in result.words
+    shares = tuple(each._replace(uptime=share) for each, share in zip(episodes, (0.5, 0.3, 0.1), strict=True))
+    up = PolicyTestResult(5.0, shares)
+    assert up.words == result.words.replace(" on average).", " on average); mean uptime 30%.")
+    table = episodes_csv(up, study().task).splitlines()
+    assert [row.rsplit(",", 1)[1] for row in table] == ["uptime", "0.5", "0.3", "0.1"]
     rows = episodes_csv(result, study().task).splitlines()
     ended = "asked_seconds,lasted_seconds,failure,succeeded"
     assert rows[0].endswith(f"{ended},position_rms_error,velocity_rms_error")

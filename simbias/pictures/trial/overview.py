@@ -66,9 +66,9 @@ def overview(study: Study, iterations: Sequence[Iteration], draw: Drawing | None
     For each policy: snapshots of its worst hardware experiment, if the task has a drawing. Below them, over
     the same time in s, are that experiment and its repetition in the simulation of the policy's search, if
     any. They show the measure of the violated criterion, in its unit, with its limit; if no experiment
-    failed, or this policy was too costly, the cost so far. Right: the cost of every hardware experiment of
-    the trial, with crosses as in `costs`, and its cost from the same start in the simulation of its policy's
-    search.
+    failed, or this policy was too costly, the cost so far. If the task states conditions of success, the
+    experiment's uptime is named. Right: the cost of every hardware experiment of the trial, with crosses as
+    in `costs`, and its cost from the same start in the simulation of its policy's search.
 
     Raises
     ------
@@ -106,9 +106,11 @@ def overview(study: Study, iterations: Sequence[Iteration], draw: Drawing | None
 
 
 def _rollouts(study: Study, iterations: Sequence[Iteration], iteration: Iteration) -> list[NamedRollout]:
-    """The worst experiment of an iteration's policy, preceded by its simulation if there was a search."""
+    """An iteration's worst experiment with its uptime, preceded by its simulation if there was a search."""
     experiment, count = worst_experiment(iteration), len(policy_experiments(iteration))
+    uptime = study.task.uptime(experiment.states)
     name = hardware_words(study) + (f", worst of {count}" if count > 1 else "")
+    name += "" if np.isnan(uptime) else f", uptime {uptime:.0%}"
     simulation = in_simulation(study, iterations, iteration, experiment)
     return [*([simulation] if simulation else []), NamedRollout(name, experiment)]
 

@@ -200,6 +200,11 @@ class Success:
         """Whether an episode of states (T+1, .) at times (T+1,), with errors (T+1, g), succeeds."""
         return bool((self._least(states, times, errors) > self._limits).all())
 
+    def share(self, states: Array, times: Array, errors: Array) -> float:
+        """The share of an episode's frames in which all conditions hold."""
+        rows = np.concatenate([states, times[:, None], errors], axis=1)
+        return float((self._measures(rows) > self._limits).all(axis=1).mean())
+
     def missed(self, states: Array, times: Array, errors: Array) -> str:
         """The conditions that do not hold, each with the value furthest from its bound."""
         least = self._least(states, times, errors)

@@ -292,6 +292,12 @@ class Declared(Task):
         """Whether an episode of states (T+1, n) that has not failed succeeds; None without conditions."""
         return None if self._success is None else self._success.holds(*self._episode(states))
 
+    def uptime(self, states: Array) -> float:
+        """The share of the horizon in which an episode of states (T+1, n) meets the conditions of success."""
+        if self._success is None:
+            return super().uptime(states)
+        return self._success.share(*self._episode(states)) * len(states) / (self.horizon + 1)
+
     def missed(self, states: Array) -> str:
         """How an episode of states (T+1, n) misses the conditions of success, in words."""
         if self._success is None:
