@@ -129,6 +129,14 @@ def test_a_file_draws_its_geoms() -> None:
         np.testing.assert_allclose(lower_end_first, by_declaration[part], atol=1e-6)
     assert of_file.drawing["cpole"].thickness == pytest.approx(0.09)
     assert "floor" not in by_file
+    target = {"points": [["0.2 + reach", "0.5"]], "grey": 0.8}  # no part of the robot
+    goal = {"targets": {"reach": {"unit": "m", "mean": 0.1}}, "goal": {"position": "reach"}}
+    drawing = {**shipped_task("double_cartpole")["drawing"], "target": target}
+    task = {**shipped_task("double_cartpole"), **goal, "drawing": drawing, "figure": {"file": DOUBLE}}
+    beside = construct(task, Task, "task")
+    placed = beside.points(np.append(x, 0.4))
+    assert list(placed) == ["rail", "target", *(geom for geom in by_file if geom != "rail")]
+    np.testing.assert_allclose(placed["target"], [[0.6, 0.5]])
 
 
 NEVER = {"near": {"value": "abs(position_error)", "below": -0.1, "unit": "m"}}

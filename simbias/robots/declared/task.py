@@ -73,7 +73,8 @@ class Declared(Task):
     drawing
         Parts by name, from back to front, all lengths in one unit, y upwards.
     figure
-        Instead of a drawing: the file of a MuJoCo model, whose geoms are drawn or rendered.
+        The file of a MuJoCo model, whose geoms are drawn or rendered instead of the parts of `drawing` that
+        move with the robot. Other parts, such as a target, stay behind them.
     targets
         By name, like states: drawn with each start, constant, and known. Expressions may use them; failure
         criteria may not, as the robot itself has no targets.
@@ -173,18 +174,22 @@ class Declared(Task):
                 raise ValueError(f"{key}: the task fails at its start: {failure_there}")
 
     def _set_drawing(self, drawing: dict[str, DrawnPart]) -> None:
-        """Set the drawing: a figure's parts, or the declared ones."""
-        if self._figure:  # the figure provides its own points
-            drawing = {name: DrawnPart([], thickness) for name, thickness in self._figure.thickness.items()}
-        self.drawing = drawing
+        """Set the drawing: the declared parts; a figure replaces those that move with the robot."""
+        self._declared = self.drawing = drawing
         self._points = self.expressions(
             {
                 f"drawing.{name}.{index}.{axis}": expression
-                for name, part in self.drawing.items()
+                for name, part in drawing.items()
                 for index, point in enumerate(part.points)
                 for axis, expression in zip("xy", point, strict=True)
             }
         )
+        if self._figure:
+            x = self.start_mean.copy()
+            self._of_robot(x)[:] = np.nan
+            still = [name for name, points in self._placed(x).items() if np.isfinite(points).all()]
+            own = {name: DrawnPart([], thickness) for name, thickness in self._figure.thickness.items()}
+            self.drawing = {name: drawing[name] for name in still} | own
 
     def _set_goal(self, goal: Mapping[str, str], file: str | None) -> None:
         if goal and file:
@@ -311,11 +316,14 @@ class Declared(Task):
 
     def points(self, x: Array) -> dict[str, Array]:
         """The points (k, 2) of every part of the drawing at the state x (n,)."""
-        if self._figure:
-            return self._figure.points(self._of_robot(x))
+        placed = self._placed(x) | (self._figure.points(self._of_robot(x)) if self._figure else {})
+        return {name: placed[name] for name in self.drawing}
+
+    def _placed(self, x: Array) -> dict[str, Array]:
+        """The points (k, 2) of every declared part at the state x (n,)."""
         points = self._points(self._seen(x)).reshape(-1, 2)
-        ends = np.cumsum([len(part.points) for part in self.drawing.values()])
-        return dict(zip(self.drawing, np.split(points, ends), strict=False))
+        ends = np.cumsum([len(part.points) for part in self._declared.values()])
+        return dict(zip(self._declared, np.split(points, ends), strict=False))
 
     def image(self, x: Array) -> Image | None:
         """The image of the state x (n,) rendered by MuJoCo; None if the drawing consists of parts."""

@@ -27,21 +27,23 @@ def draw(
 ) -> dict[str, Artist]:
     """Draw the task's parts at the state (n,); return the artists by name.
 
-    Parts without their own grey have the given colour, and an image is tinted with it; a muted drawing is
-    pale.
+    Parts without their own grey have the given colour, and an image, which replaces a figure's parts, is
+    tinted with it; a muted drawing is pale.
     """
-    if (image := task.image(state)) is None:
-        colors = {name: color if part.grey is None else str(part.grey) for name, part in task.drawing.items()}
-        return draw_parts(axes, _parts(task, state), colors, muted)
-    axes.set_aspect("equal")
-    axes.axis("off")
-    picture = AxesImage(axes, origin="upper", extent=image.extent)
+    image, parts = task.image(state), _parts(task, state)
+    if image is not None:
+        parts = {name: part for name, part in parts.items() if task.drawing[name].points}
+    colors = {name: color if part.grey is None else str(part.grey) for name, part in task.drawing.items()}
+    artists = draw_parts(axes, parts, colors, muted)
+    if image is None:
+        return artists
+    picture = AxesImage(axes, origin="upper", extent=image.extent, zorder=len(parts) + 1)
     picture.set_data(_tinted(image.pixels, color))
     picture.set_alpha(PALE if muted else 1.0)
     picture.set_gid(color)  # for `move`
     axes.add_image(picture)
     axes.update_datalim(np.reshape(image.extent, (2, 2)).T)
-    return {IMAGE: picture}
+    return {**artists, IMAGE: picture}
 
 
 def move(artists: Mapping[str, Artist], task: Declared, state: Array, *, muted: bool = False) -> None:
@@ -51,8 +53,8 @@ def move(artists: Mapping[str, Artist], task: Declared, state: Array, *, muted: 
         picture.set_data(_tinted(image.pixels, picture.get_gid() or "0.4"))
         picture.set_extent(image.extent)
         picture.set_alpha(PALE if muted else 1.0)
-        return
-    move_parts(artists, _parts(task, state), muted)
+    moved = {name: part for name, part in _parts(task, state).items() if name in artists}
+    move_parts(artists, moved, muted)
 
 
 def _parts(task: Declared, state: Array) -> dict[str, Disc | Array]:
