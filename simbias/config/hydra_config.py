@@ -24,6 +24,7 @@ WITHOUT_JOBS = [f"hydra/{group}=[]" for group in JOBS]  # no jobs run here; save
 
 ONE_OPTION = "takes one option; only preset takes several"
 HINTS = {"identification": "; a posterior has delays, too: identification.motors={NAME: {delay: 0.01}}"}
+UNMERGED = "Cannot merge DictConfig with ListConfig"  # OmegaConf's words, whichever is the list
 SEVERAL = "has several values; put a list in brackets, or run many trials as a sweep (+sweep=NAME)"
 
 
@@ -83,6 +84,9 @@ def set_value(config: DictConfig, key: str, value: Any) -> None:
     from omegaconf import OmegaConf
     from omegaconf.errors import ConfigAttributeError, ConfigKeyError
 
+    whole, _, part = key.rpartition(".")
+    if not part.isdecimal() and whole and OmegaConf.is_list(OmegaConf.select(config, whole)):
+        raise ConfigError(whole, f"is a list: {whole}.0=... sets its first value")
     try:
         opened = _is_whole(key, value) and OmegaConf.select(config, key) is not None
         force_add = key.startswith("+") or opened
@@ -159,6 +163,9 @@ def _in_one_line(error: Exception) -> ConfigError:
         there = f"; {group} has {', '.join(error.options)}" if error.options else ""
         return unknown([choice], choice, f"no such option{there}")
     cause = error.__cause__
+    for each in (error, cause):
+        if UNMERGED in str(each):
+            return _unmerged(each)
     if isinstance(cause, ConfigAttributeError | ConfigKeyError):
         return _no_such_key(str(error).split("'")[1])
     lines = [line.strip().removesuffix(".") for line in str(error).splitlines() if "hydra.cc" not in line]
@@ -172,6 +179,17 @@ def _in_one_line(error: Exception) -> ConfigError:
     if lines[0].startswith(("Sweep parameters", "Ambiguous value")):
         return ConfigError(quoted[0], SEVERAL)
     return unknown(quoted, "", ": ".join(lines[:2]))
+
+
+def _unmerged(error: BaseException | None) -> ConfigError:
+    """The error for a mapping given for a list, or a list for a mapping."""
+    if key := getattr(error, "full_key", None):
+        held, given = ("list", "mapping") if "object_type=list" in str(error) else ("mapping", "list")
+        remedy = f"give a {held}, or delete it first: '~{key}' '+{key}=...'"
+        return ConfigError(key, f"is a {held}, into which no {given} can be merged; {remedy}")
+    file = re.findall("'(.+?)'", str(error))[:1]
+    both = "gives a mapping for a list that it inherits, or a list for a mapping"
+    return ConfigError("".join(file), f"{both}; write it in full, without the file from which it inherits")
 
 
 def _no_such_key(key: str) -> ConfigError:

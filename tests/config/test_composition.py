@@ -58,6 +58,13 @@ BAD = {  # by override: its key, and what is said of it
     "hardware.feet=three": ("hardware.feet", "must be 'plate', 'separate' or 'fixed', got 'three'"),
     "task.robot.wheel_radius=0": ("task.robot.wheel_radius", "must be greater than or equal to 0.000001"),
     "task.start.mean=[0]": ("task.start.mean", "must have at least 6 items"),
+    "task.start.mean={angle: 1}": (
+        "task.start.mean",
+        "is a list, into which no mapping can be merged; give a",
+    ),
+    "++task.start.mean={angle: 1}": ("task.start.mean", "is a list, into which no mapping can be merged; g"),
+    "task.start.mean.angle=1": ("task.start.mean", "is a list: task.start.mean.0=... sets its first value"),
+    "task.limits=[1]": ("task.limits", "is a mapping, into which no list can be merged; give a mapping, or"),
     "cost.state_weights=[1]": ("cost", "state_weights has 1 values; the task has 6"),
     "+samples.limits.size=1": ("samples", "limits: the task has no criterion size"),
     "optimizer.algorithm=GN_NONE": ("optimizer", ""),
