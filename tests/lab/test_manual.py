@@ -189,7 +189,7 @@ def test_a_person_reads_start_limits_and_what_to_do(point_mass: Study, tmp_path:
     assert sorted(path.name for path in folder.iterdir()) == files
     text = (folder / "README.txt").read_text()
     for line in (
-        "position = 0.5 m (starts further than 0.2 from it are refused)",
+        "position = 0.5 m (refused if it is off by more than 0.2, 20 deviations of the task's starts)",
         "|velocity| <= 0.3 m/s",
         "|change of force| <= 5 N per s",
         "|force| <= 5 N",

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from simbias.core.errors import ConfigError
-from simbias.lab.checks import start_tolerance
+from simbias.lab.checks import START_DEVIATIONS, start_tolerance
 from simbias.lab.requests.request import HEADER, MODULE, ExperimentRequest, refuse_copy
 from simbias.lab.requests.trajectory import template
 
@@ -168,7 +168,10 @@ def _readme(request: ExperimentRequest) -> str:
 
 def _within(tolerance: float) -> str:
     """The tolerance of a start in words."""
-    return f" (starts further than {tolerance:g} from it are refused)" if np.isfinite(tolerance) else ""
+    if not np.isfinite(tolerance):
+        return ""
+    off = f"off by more than {tolerance:.3g}, {START_DEVIATIONS:g} deviations of the task's starts"
+    return f" (refused if it is {off})"
 
 
 def _indented(lines: Iterable[str]) -> str:
