@@ -130,13 +130,13 @@ def test_a_policy_that_does_not_swing_up_is_told_why(monkeypatch: pytest.MonkeyP
         "1 of 1 experiment missed the goal: in its last 1 s upright is 3.14 rad, not below 0.2"
     ]
     fallen = replace(rollout, inputs=rollout.inputs[:157], failed_at=157, failure="off_the_rail")
-    (remark,) = of_goal(fallen, study.task)
+    (remark,) = of_goal(fallen, study.first_model())
     assert remark.words == "this policy fails in simulation, after 3.14 s: off the rail"
     words = []
     for last in (np.pi - 0.1, 0.3):  # it hardly moves, and comes nearer until the end
         states = np.zeros_like(rollout.states)
         states[:, 1] = np.linspace(np.pi, last, len(states))
-        words += [remark.words for remark in of_goal(replace(rollout, states=states), study.task)]
+        words += [remark.words for remark in of_goal(replace(rollout, states=states), study.first_model())]
     assert ["approaching, so the horizon may be too short" in each for each in words] == [False, True]
     balancing = simbias.load(["preset=cartpole", "tracking=none"])  # its cost says what success is
     still = np.zeros(balancing.policy.n_parameters)
@@ -149,6 +149,30 @@ def test_a_policy_that_does_not_swing_up_is_told_why(monkeypatch: pytest.MonkeyP
     assert Task.missed(study.task, np.zeros((101, 4))) == (
         "at its end off by position 0 m, angle 0 rad, d_position 0 m/s, d_angle 0 rad/s"
     )
+
+
+def test_a_plan_that_misses_the_goal_is_told_why() -> None:
+    """By the limits that the planner has, and by what the goal and its conditions need."""
+    options = ["method=trajectory", "policy=trajectory", "~policy.units", "policy.bound=1000"]
+    options += ["policy.knots=51", "policy.observer=none", "identification=none", "tracking=none"]
+
+    def told(states: Array, *more: str) -> str:
+        study = simbias.load(["preset=pendulum_swingup", *options, *more])
+        frames = len(states) - 1
+        inputs = np.where(np.arange(frames) < frames / 2, 0.8, 0.5)[:, None] * study.task.input_limit
+        (remark,) = of_goal(Rollout(states, inputs), study.first_model())
+        return remark.words.partition("; inputs ")[2]
+
+    spinning = "+task.success.spins={value: d_angle, above: 1.0}"
+    T = simbias.load(["preset=pendulum_swingup", *options]).task.horizon
+    nearer = np.stack([np.linspace(np.pi, 0.3, T + 1), np.zeros(T + 1)], axis=1)
+    limits = "are at the planner's limits (80% of the task's) in 50% of the frames"
+    approaching = "; it was still approaching, so the horizon may be too short"
+    assert told(nearer) == limits + approaching
+    assert told(nearer, "task.goal={angle: pi/2, d_angle: 0}") == f"{limits}, and cannot hold the goal"
+    assert told(nearer, spinning) == limits  # nothing leads there
+    reached = nearer * 0.5 ** np.linspace(0.0, 20.0, T + 1)[:, None]
+    assert told(reached, spinning) == limits
 
 
 @pytest.mark.slow

@@ -14,6 +14,7 @@ from simbias.core.policy import Policy
 from simbias.core.quantities import TURNS, Quantity, wrapped
 from simbias.core.records import Array, Indices, Rollout
 
+NEGLIGIBLE = 0.01  # share of the largest error
 NOT_A_NUMBER = "not_a_number"  # failure name of a non-finite state that violates no criterion
 
 
@@ -138,6 +139,17 @@ class Task(ABC):
     def says_success(self) -> bool:
         """Whether the task decides which episodes succeed; otherwise their costs decide."""
         return self.succeeds(np.tile(self.start_mean, (self.horizon + 1, 1))) is not None
+
+    def shortfalls(self, states: Array) -> Array:
+        """How far (T+1, k) states (T+1, n) are from each of k things that keep an episode from success.
+
+        By default, one distance from the goal, without rates: each error is relative to its largest, and
+        less than `NEGLIGIBLE` counts as zero.
+        """
+        errors = np.abs(self.error(states, self.time_step * np.arange(len(states))))
+        places = [i for i, goal in enumerate(self.goals) if not goal.is_rate] or [0]
+        relative = errors[:, places] / (errors[:, places].max(axis=0) + 1e-300)
+        return np.maximum(np.linalg.norm(relative, axis=1, keepdims=True) - NEGLIGIBLE, 0.0)
 
     def missed(self, states: Array) -> str:
         """How an episode with states (T+1, n) that has not failed misses success, in words."""

@@ -10,7 +10,8 @@ from scipy.linalg import solve_discrete_are
 
 from simbias.core import Nominal, Task, rates_and_positions, wrapped
 from simbias.core.records import Array
-from simbias.simulation.linearization import STEP, input_scale, linearization
+from simbias.simulation.goal import holding
+from simbias.simulation.linearization import input_scale, linearization
 from simbias.simulation.noise import QUIET, Noise, Variances
 
 ObserverKind = Literal["none", "filter", "derivative", "model", "kalman"]
@@ -19,25 +20,6 @@ DISTURBANCE = 0.05  # process noise: deviation of unknown inputs in a frame, as 
 ELSEWHERE = 0.01  # its share that acts on each state separately, so that no direction is exact
 MOST_AHEAD = 20  # frames of prediction
 EXACT = 1e-6  # deviation assumed for noise-free measurements, in their unit
-BALANCED, ROUNDS = 1e-9, 5  # negligible change of states per frame, in their units; steps of the search
-
-
-def holding(task: Task, nominal: Nominal, x: Array) -> Array:
-    """Inputs (m,) within the limits under which states x (n,) change least, with sliding joints."""
-    from scipy.optimize import lsq_linear  # lazily: few policies need it
-
-    nominal, limit = nominal.without_dry_friction(), input_scale(task)
-    lower, upper = task.input_bounds
-    room = np.minimum(STEP * limit, 0.49 * (upper - lower))  # differences stay within the limits
-    lower, upper = lower + room, upper - room
-    u = np.clip(np.zeros(len(limit)), lower, upper)
-    for _ in range(ROUNDS):
-        moved = nominal.step(x, u) - x
-        if not BALANCED < np.abs(moved).max() < np.inf:
-            break
-        B = linearization(nominal, x, u, limit)[1]
-        u = u + lsq_linear(B, -moved, (lower - u, upper - u)).x
-    return u
 
 
 class Observer(ABC):

@@ -12,7 +12,8 @@ from simbias.core import Nominal, Policy, Task
 from simbias.core.ranges import Bound, NonNegative, Positive
 from simbias.core.records import Array
 from simbias.policy.network import Kind, Network, Units
-from simbias.policy.observer import ObserverKind, holding
+from simbias.policy.observer import ObserverKind
+from simbias.simulation.goal import holding
 from simbias.simulation.linearization import linear_regulator, linearization
 from simbias.simulation.noise import QUIET, Variances
 

@@ -18,7 +18,7 @@ from scipy.linalg import block_diag
 
 from simbias.core import Model, SlowWarning
 from simbias.core.records import MEMORY, Array
-from simbias.search.goal import resting_goal
+from simbias.simulation.goal import resting_goal
 from simbias.simulation.linearization import STEP, advanced, derivatives, input_scale, linear_regulator
 
 INPUT_WEIGHTS = (10.0, 100.0, 1000.0, 10000.0)  # R of inputs at their limits; Q of a state of one unit is 1

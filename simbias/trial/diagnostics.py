@@ -17,11 +17,14 @@ from simbias.core.records import Array, Iteration, Rollout, Search, Selection
 from simbias.lab.safety import exceeded
 from simbias.learning.identification.directions import undetermined
 from simbias.learning.identification.identified import Identified
+from simbias.policy.trajectory import Trajectory
+from simbias.search.optimizer.ilqr import SHARE
 from simbias.simulation.closed_loop import simulator
+from simbias.simulation.goal import goal_held
 from simbias.trial.claim import iterations_with
 from simbias.trial.study import Study
 
-NEARER, EARLIER = 0.95, 0.9  # of the least distance in the first 90%: a last one below is still falling
+NEARER, EARLIER = 0.95, 0.9  # of the least shortfall in the first 90%: a last one below is still falling
 ROUGH = 0.5  # of the residuals' root mean square: larger errors of a sparse posterior are reported
 STARTS = 20  # simulated for a policy if the task does not define success
 CHATTER = 0.1  # of an input's range: a larger mean change from frame to frame is reported
@@ -69,8 +72,9 @@ def of_policy(
         )
 
 
-def of_goal(rollout: Rollout, task: Task) -> Iterator[Remark]:
-    """Why a simulated rollout does not succeed, if the task defines success."""
+def of_goal(rollout: Rollout, model: Model) -> Iterator[Remark]:
+    """Why a rollout simulated on a model does not succeed, if its task defines success."""
+    task = model.task
     if rollout.failure is not None:
         yield Remark(
             "a policy fails in simulation",
@@ -80,21 +84,32 @@ def of_goal(rollout: Rollout, task: Task) -> Iterator[Remark]:
         return
     if not task.goals or task.succeeds(rollout.states) is not False:
         return
-    times = task.time_step * np.arange(len(rollout.states))
-    errors = np.abs(task.error(rollout.states, times))
-    places = [i for i, goal in enumerate(task.goals) if not goal.is_rate] or [0]
-    distances = np.linalg.norm(errors[:, places] / (errors[:, places].max(axis=0) + 1e-300), axis=1)
-    lower, upper = task.input_bounds
-    slack = np.nan_to_num(0.01 * (upper - lower), posinf=0.0)  # an input may have no limit
-    full = np.mean(((rollout.inputs <= lower + slack) | (rollout.inputs >= upper - slack)).any(axis=1))
-    coming = distances[-1] < NEARER * distances[: int(EARLIER * len(distances))].min(initial=np.inf)
-    late = "; it was still approaching, so the horizon may be too short" if coming else ""
-    missed = task.missed(rollout.states)
+    seconds, missed = rollout.frames * task.time_step, task.missed(rollout.states)
     yield Remark(
         "a policy does not reach the goal in simulation",
-        f"this policy does not reach the goal in {times[-1]:g} s of simulation: {missed}; "
-        f"inputs are at their limits in {full:.0%} of the frames{late}",
+        f"this policy does not reach the goal in {seconds:g} s of simulation: {missed}; "
+        f"{_at_limits(rollout.inputs, model)}{_beyond_reach(rollout.states, model)}",
     )
+
+
+def _at_limits(inputs: Array, model: Model) -> str:
+    """In how many frames inputs (T, m) are at their limits, those of the planner for a plan, in words."""
+    share = SHARE if isinstance(model.policy, Trajectory) else 1.0
+    lower, upper = (share * limits for limits in model.task.input_bounds)
+    slack = np.nan_to_num(0.01 * (upper - lower), posinf=0.0)  # an input may have no limit
+    full = np.mean(((inputs <= lower + slack) | (inputs >= upper - slack)).any(axis=1))
+    whose = "their limits" if share == 1.0 else f"the planner's limits ({share:.0%} of the task's)"
+    return f"inputs are at {whose} in {full:.0%} of the frames"
+
+
+def _beyond_reach(states: Array, model: Model) -> str:
+    """Why states (T+1, n) miss the goal, in words: it cannot be held, or was still approached; else empty."""
+    if not goal_held(model.task, model.nominal):
+        return ", and cannot hold the goal"
+    short = model.task.shortfalls(states)
+    if (short[-1] < NEARER * short[: int(EARLIER * len(short))].min(axis=0, initial=np.inf)).all():
+        return "; it was still approaching, so the horizon may be too short"
+    return ""
 
 
 def of_starts(theta: Array, model: Model, cost: Cost) -> Iterator[Remark]:
@@ -172,7 +187,7 @@ def of_prediction(theta: Array, model: Model | None, study: Study) -> Iterator[R
         return
     rollout = _simulated_on(model, theta, model.task.start_mean, study.cost)
     if model.task.says_success:
-        yield from of_goal(rollout, model.task)
+        yield from of_goal(rollout, model)
     else:
         yield from of_starts(theta, model, study.cost)
     yield from of_model(theta, model, study.cost)

@@ -18,13 +18,13 @@ from simbias.core.errors import ConfigError
 from simbias.core.records import Transitions
 from simbias.learning.bias.none import ConstantBias, NoBias
 from simbias.policy.trajectory import Trajectory
-from simbias.search.goal import goal_along
 from simbias.search.optimizer import ilqr
 from simbias.search.optimizer.following import STIFFER, Following
 from simbias.search.optimizer.ilqr import Shooting, _unfailing
 from simbias.search.optimizer.riccati import regulator, solved
 from simbias.search.optimizer.trajectory_candidates import trajectory_candidates
 from simbias.simulation.closed_loop import simulator
+from simbias.simulation.goal import goal_along
 from simbias.simulation.linearization import linearization
 from simbias.trial.methods.model_based import ModelBased
 from simbias.trial.run import run_trial

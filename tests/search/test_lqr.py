@@ -20,8 +20,8 @@ from simbias.policy.dynamic_output_feedback import DynamicOutputFeedback
 from simbias.policy.gains import signed_exponential
 from simbias.policy.integral_feedback import IntegralFeedback
 from simbias.policy.output_feedback import OutputFeedback
-from simbias.search.goal import resting_goal
 from simbias.search.lqr import INPUT_WEIGHTS, linearised, lqr_candidates, lqr_gains, lqr_policies, rest
+from simbias.simulation.goal import resting_goal
 from simbias.simulation.numpy_loop import PlainSimulator
 from simbias.trial.run import run_trial
 from simbias.trial.study import Study

@@ -202,8 +202,12 @@ class Success:
 
     def share(self, states: Array, times: Array, errors: Array) -> float:
         """The share of an episode's frames in which all conditions hold."""
-        rows = np.concatenate([states, times[:, None], errors], axis=1)
-        return float((self._measures(rows) > self._limits).all(axis=1).mean())
+        return float((self._measures(_rows_of(states, times, errors)) > self._limits).all(axis=1).mean())
+
+    def shortfalls(self, states: Array, times: Array, errors: Array) -> Array:
+        """How far (T+1, k) each frame is from the limits of the conditions that an episode misses."""
+        short = np.maximum(self._limits - self._measures(_rows_of(states, times, errors)), 0.0)
+        return short[:, ~(self._least(states, times, errors) > self._limits)]
 
     def missed(self, states: Array, times: Array, errors: Array) -> str:
         """The conditions that do not hold, each with the value furthest from its bound."""
@@ -216,9 +220,13 @@ class Success:
 
     def _least(self, states: Array, times: Array, errors: Array) -> Array:
         """The least of each measure in the last frames."""
-        rows = np.concatenate([states, times[:, None], errors], axis=1)[-self._frames :]
-        least: Array = self._measures(rows).min(axis=0)
+        least: Array = self._measures(_rows_of(states, times, errors)[-self._frames :]).min(axis=0)
         return least
+
+
+def _rows_of(states: Array, times: Array, errors: Array) -> Array:
+    """The variables (T+1, .) of success expressions, frame by frame."""
+    return np.concatenate([states, times[:, None], errors], axis=1)
 
 
 def _beside_bound(condition: Failure, measure: float, limit: float) -> str:

@@ -303,6 +303,12 @@ class Declared(Task):
             return super().uptime(states)
         return self._success.share(*self._episode(states)) * len(states) / (self.horizon + 1)
 
+    def shortfalls(self, states: Array) -> Array:
+        """How far (T+1, k) states (T+1, n) are from each condition of success that an episode misses."""
+        if self._success is None:
+            return super().shortfalls(states)
+        return self._success.shortfalls(*self._episode(states))
+
     def missed(self, states: Array) -> str:
         """How an episode of states (T+1, n) misses the conditions of success, in words."""
         if self._success is None:

@@ -15,9 +15,9 @@ import numpy as np
 from simbias.core import GoalWeights, Model, wrapped
 from simbias.core.records import Array
 from simbias.policy.trajectory import Trajectory
-from simbias.search.goal import goal_along, moves
 from simbias.search.lqr import rest
 from simbias.search.optimizer.riccati import regulator, solved
+from simbias.simulation.goal import goal_along, moves
 from simbias.simulation.linearization import advanced, derivatives, linear_regulator, linearization
 
 STEP = 1e-3  # step of differences: of states, and of inputs relative to their limits

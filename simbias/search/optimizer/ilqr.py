@@ -18,11 +18,11 @@ import numpy as np
 from simbias.core import GoalWeights, Model, Task
 from simbias.core.records import Array
 from simbias.policy.trajectory import Trajectory
-from simbias.search.goal import goal_along
 from simbias.search.lqr import rest
 from simbias.search.optimizer.following import STEP, Following, Plan, linear
 from simbias.search.optimizer.riccati import LinearQuadratic, beside, solved
 from simbias.simulation.closed_loop import simulator
+from simbias.simulation.goal import goal_along
 from simbias.simulation.linearization import derivatives
 
 ERROR_WEIGHT, RATE_WEIGHT = 1.0, 0.05  # of the goal's squared errors, 1/s; of rates

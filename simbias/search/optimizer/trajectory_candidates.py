@@ -13,9 +13,9 @@ from simbias.core import GoalWeights, Model, Policy, SlowWarning, Task
 from simbias.core.errors import ConfigError
 from simbias.core.records import Array
 from simbias.policy.trajectory import Trajectory
-from simbias.search.goal import goal_along, moves
 from simbias.search.optimizer.following import Plan
 from simbias.search.optimizer.ilqr import GAIN_WEIGHTS, Shooting
+from simbias.simulation.goal import goal_along, moves
 
 DEARER = 1.5  # times a plan's cost: if following its knots costs more, a warning says so
 SEED = 0  # of the plans' initial random inputs, so that the same model gives the same trajectories

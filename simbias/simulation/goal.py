@@ -1,0 +1,86 @@
+"""The task's goal over time, and inputs that hold it, for planning and regulation."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+
+from simbias.core import Nominal, SlowWarning, Task, wrapped
+from simbias.core.quantities import unwound
+from simbias.core.records import Array
+from simbias.simulation.linearization import STEP, input_scale, linearization
+
+BALANCED, ROUNDS = 1e-9, 5  # negligible change of states per frame, in their units; steps of the search
+SLIGHT = 0.01  # of the inputs' largest effect on a state in a frame: states that change less are held
+
+
+def goal_along(task: Task) -> Array:
+    """The goal's quantities (T+1, g), frame by frame.
+
+    Quantities that wrap are unwound, and begin within half a turn of the mean start.
+    """
+    goal = np.array([task.reference(t) for t in task.time_step * np.arange(task.horizon + 1)])
+    turns = np.array([each.turn for each in task.goals])
+    away = task.aim(task.start_mean) - goal[0]
+    return unwound(goal, task.goals) + turns * np.round(away / np.where(turns, turns, 1.0))
+
+
+def moves(goal: Array) -> bool:
+    """Whether a goal (T+1, g) changes with time."""
+    return bool((goal != goal[0]).any())
+
+
+def resting_goal(task: Task) -> Array | None:
+    """The states (n,) of a goal that does not move; states outside the goal are zero.
+
+    None if all are zero, or if the goal is stated in outputs, with a warning.
+    """
+    goal = goal_along(task)
+    if moves(goal):
+        return None
+    named = dict(zip((each.name for each in task.goals), goal[0], strict=True))
+    x = np.array([named.get(state.name, 0.0) for state in task.states])
+    if not np.allclose(wrapped(task.aim(x) - goal[0], task.goals), 0.0):
+        words = f"LQR regulates to zero, because the goal is for outputs ({', '.join(named)}), not states"
+        warnings.warn(words, SlowWarning, stacklevel=2)
+        return None
+    return x if x.any() else None
+
+
+def holding(task: Task, nominal: Nominal, x: Array) -> Array:
+    """Inputs (m,) within the limits under which states x (n,) change least, with sliding joints."""
+    from scipy.optimize import lsq_linear  # lazily: few policies need it
+
+    nominal, limit = nominal.without_dry_friction(), input_scale(task)
+    lower, upper = task.input_bounds
+    room = np.minimum(STEP * limit, 0.49 * (upper - lower))  # differences stay within the limits
+    lower, upper = lower + room, upper - room
+    u = np.clip(np.zeros(len(limit)), lower, upper)
+    for _ in range(ROUNDS):
+        moved = nominal.step(x, u) - x
+        if not BALANCED < np.abs(moved).max() < np.inf:
+            break
+        B = linearization(nominal, x, u, limit)[1]
+        if not np.isfinite(B).all():
+            break
+        u = u + lsq_linear(B, -moved, (lower - u, upper - u)).x
+    return u
+
+
+def held(task: Task, nominal: Nominal, x: Array) -> bool:
+    """Whether inputs within the limits can hold states x (n,)."""
+    u, limit = holding(task, nominal, x), input_scale(task)
+    B = linearization(nominal.without_dry_friction(), x, u, limit)[1]
+    moved = np.abs(nominal.step(x, u) - x).max()
+    return bool(moved <= SLIGHT * np.abs(B * limit).max())
+
+
+def goal_held(task: Task, nominal: Nominal) -> bool:
+    """Whether inputs can hold the goal; also true if it moves, or leaves positions free."""
+    goal = goal_along(task)
+    named = dict(zip((each.name for each in task.goals), goal[0], strict=True))
+    free = [each for each in task.states if each.name not in named and not each.is_rate]
+    if moves(goal) or free or task.targets:
+        return True
+    return held(task, nominal, np.array([named.get(each.name, 0.0) for each in task.states]))
