@@ -20,7 +20,7 @@ from simbias.config.components import construct
 from simbias.config.identity import identity_fields
 from simbias.core import Model, Quantity, SlowWarning, Task, wrapped
 from simbias.core.quantities import unwound
-from simbias.core.records import Rollout
+from simbias.core.records import Array, Rollout
 from simbias.core.robot import check_quantities
 from simbias.lab.checks import check_rollout
 from simbias.simulation.compiled import CompiledSimulator
@@ -372,3 +372,19 @@ def test_a_reference_that_cannot_be_meant_is_refused(tmp_path: Path) -> None:
         declared(goal={"position": smooth})
     with pytest.warns(SlowWarning, match=r"lasts 5000 s, but an episode takes 5 s: is its t in ms\?"):
         declared(reference=table(tmp_path, "t,position\n0,0\n5000,0.1\n"))
+    swingup, file = shipped_task("pendulum_swingup") | {"time_step": 0.01}, tmp_path / "reference.csv"
+    states = swingup["states"] | {"angle": swingup["states"]["angle"] | {"unit": "deg"}}
+
+    def of_angles(angles: Array) -> None:
+        rows = (f"{0.1 * row:.1f},{angle}" for row, angle in enumerate(angles))
+        file.write_text("\n".join(["t,angle", *rows]))
+        construct({**swingup, "states": states, "reference": str(file)}, Task, "task")
+
+    with one_line("row of t = 0.2 s, column angle: -180 is more than half a turn from 171; write 180, or"):
+        of_angles(np.append([162, 171, -180, -171], np.full(60, -171)))
+    with pytest.warns(SlowWarning, match=r"angle changes by 160 deg within 2 rows of .*, after t = 2.9 s: "):
+        of_angles(np.repeat([180, 20], [31, 30]))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        of_angles(np.cumsum(np.full(64, 170.0)))
+        of_angles(90 * np.sin(0.5 * np.arange(64)))

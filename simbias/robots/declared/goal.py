@@ -21,7 +21,8 @@ TIME = "t"  # the name of time in expressions and of its column
 MOST_ROWS = 400  # of a file: each row is an operation of the compiled loop
 LONG = 100.0  # episodes: a longer file may have its time in ms
 TURNS = 2  # a larger angle may be in degrees
-BRIEF = 2  # frames; the duration of a jump
+SAMPLED = 10  # rows: a file with as many, evenly spaced, is a sampled curve
+BRIEF = 2  # frames, or rows of a sampled curve; the duration of a jump
 JUMP = 0.1  # least share of the range, and
 STEEP = 4.0  # least factor relative to the motion in as many frames before or after
 ROUNDING = 1e-9  # smaller changes are no jumps
@@ -51,10 +52,11 @@ class Reference:
             self.names = tuple(expressions)
             named = {f"goal.{name}": text for name, text in expressions.items()}
             self._expressions: Expressions | None = Expressions(named, (TIME, *targets), constants)
-            self.end = seconds  # s
+            self.end, self.rows = seconds, np.zeros(0)  # s, and times (k,) of a file's rows
         else:
             self._expressions = None
             self.names, self._times, values = _rows(file, seconds)
+            self.rows = self._times
             self.end = min(self._times[-1], LONG * seconds)
             slopes = np.diff(values, axis=0) / np.diff(self._times)[:, None]
             self._first, self._changes = values[0], np.diff(slopes, axis=0, prepend=0.0, append=0.0)
@@ -144,7 +146,35 @@ def warn_of_degrees(reference: Reference, goals: Sequence[Quantity], seconds: fl
 
 def check_jumps(reference: Reference, goals: Sequence[Quantity], time_step: float) -> None:
     """Refuse a reference with jumps, which no robot can follow."""
-    times = time_step * np.arange(round(reference.end / time_step) + 1)
+    times = time_step * np.arange(round(reference.end / time_step) + 1, dtype=np.float64)
+    for frame, column, change in _jumps(reference, goals, times)[:1]:
+        raise ValueError(
+            f"goal.{goals[column].name} jumps after t = {times[frame]:.4g} s: by {change} in {BRIEF} frames; "
+            "use a ramp, which can be followed"
+        )
+
+
+def check_rows(reference: Reference, goals: Sequence[Quantity], file: str) -> None:
+    """Refuse rows between which an angle that wraps jumps, and warn of a step between sampled rows."""
+    rows, turns = reference.rows, np.array([goal.turn for goal in goals])
+    values, half = reference(rows), np.where(turns, 0.501 * turns, np.inf)
+    for row, column in np.argwhere(np.abs(np.diff(values, axis=0)) > half)[:1]:
+        before, after = values[row : row + 2, column]
+        near = after - turns[column] * np.round((after - before) / turns[column])
+        raise ValueError(
+            f"reference {quote(file)}, row of t = {rows[row + 1]:.4g} s, column {goals[column].name}: "
+            f"{after:.4g} is more than half a turn from {before:.4g}; write {near:.4g}, or add rows between"
+        )
+    if len(rows) < SAMPLED or np.ptp(np.diff(rows)) > 0.01 * rows[1]:
+        return
+    for row, column, change in _jumps(reference, goals, rows)[:1]:
+        words = f"within {BRIEF} rows of {quote(file)}, after t = {rows[row]:.4g} s: is it a step?"
+        words = f"goal.{goals[column].name} changes by {change} {words} A ramp can be followed"
+        warnings.warn(words, SlowWarning, stacklevel=4)
+
+
+def _jumps(reference: Reference, goals: Sequence[Quantity], times: Array) -> list[tuple[int, int, str]]:
+    """The times after which goal quantities jump, by their indices, and by how much, in words."""
     values = np.broadcast_to(reference(times), (len(times), len(goals)))
     steps = np.abs(wrapped(np.diff(values, axis=0), goals))
     moved = np.abs(wrapped(values[BRIEF:] - values[:-BRIEF], goals))
@@ -152,13 +182,8 @@ def check_jumps(reference: Reference, goals: Sequence[Quantity], time_step: floa
     around = np.pad(path, ((BRIEF, BRIEF), (0, 0)))
     beside = np.maximum(around[: -2 * BRIEF], around[2 * BRIEF :])
     least = np.maximum(JUMP * np.ptp(values, axis=0), ROUNDING)
-    jumps = np.argwhere((moved > least) & (moved > STEEP * beside))
-    for frame, column in jumps[:1]:
-        size = f"{moved[frame, column]:.3g} {goals[column].unit}".strip()
-        raise ValueError(
-            f"goal.{goals[column].name} jumps after t = {times[frame]:.4g} s: by {size} in {BRIEF} frames; "
-            "use a ramp, which can be followed"
-        )
+    jumps = np.argwhere((moved > least) & (moved > STEEP * beside)).tolist()
+    return [(i, j, f"{moved[i, j]:.3g} {goals[j].unit}".strip()) for i, j in jumps]
 
 
 class Success:

@@ -29,6 +29,7 @@ from simbias.robots.declared.goal import (
     Reference,
     Success,
     check_jumps,
+    check_rows,
     check_within,
     success_names,
     warn_of_degrees,
@@ -214,6 +215,8 @@ class Declared(Task):
             check_within(self._reference, variables, self.criteria, self._measure, seconds)
         warn_of_degrees(self._reference, self._goals, seconds)
         check_jumps(self._reference, self._goals, self.time_step)
+        if file is not None:
+            check_rows(self._reference, self._goals, file)
 
     def _set_success(
         self, success: Mapping[str, Failure], hold: float | None, failure: Mapping[str, Failure]
