@@ -19,6 +19,11 @@ class Quadratic(Cost):
 
     Weights are a list with one for each state or input, or a mapping by name or kind of quantities; a
     quantity not named has zero weight.
+
+    Raises
+    ------
+    ValueError
+        If a state with a weight has a goal other than zero, which this cost ignores.
     """
 
     reductions = ("max", "sum")
@@ -36,6 +41,7 @@ class Quadratic(Cost):
         self._failure_weight = failure_weight
         self._R = weights_of("state_weights", state_weights, task.states)  # (n,)
         self._Q = weights_of("input_weights", input_weights, task.inputs)  # (m,)
+        _check_goal(task, self._R)
 
     def with_horizon(self, horizon: int) -> Self:
         """The cost for another horizon in frames; the total weight of the inputs stays the same.
@@ -54,3 +60,16 @@ class Quadratic(Cost):
     def of_totals(self, totals: Array, lost: Indices) -> Array:
         """Z (...) of peaks and efforts (..., 2), and the frames (...) lost by failure (Eq. 8)."""
         return self._failure_weight * lost + np.minimum(totals, LARGEST).sum(axis=-1)
+
+
+def _check_goal(task: Task, weights: Array) -> None:
+    """Refuse weights (n,) of states whose goal is not zero."""
+    weighted = {state.name for state, weight in zip(task.states, weights, strict=True) if weight}
+    times = task.time_step * np.arange(task.horizon + 1)
+    goal = np.broadcast_to(task.reference(times), (len(times), len(task.goals)))
+    for quantity, values in zip(task.goals, goal.T, strict=True):
+        if quantity.name in weighted and values.any():
+            raise ValueError(
+                f"state_weights: {quantity.name} would be weighted from zero, but its goal is not zero; "
+                "cost=tracking weights errors of the goal"
+            )
