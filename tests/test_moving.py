@@ -70,7 +70,7 @@ def test_a_plan_follows_and_costs_what_the_cost_says(robot: Study) -> None:
 
 @pytest.mark.usefixtures("uncompiled")
 def test_an_angle_that_wraps_is_drawn_beside_its_reference() -> None:
-    moving = ["preset=pendulum_swingup", "task.goal={angle: pi + t, d_angle: 1}"]
+    moving = ["preset=pendulum_swingup", "policy=mlp", "task.goal={angle: pi + t, d_angle: 1}"]
     short = ["task.horizon=20", "task.hold=0.2", "bias=none", "identification=none", "tracking=none"]
     study = simbias.load([*moving, *short])
     theta, states = np.zeros(study.policy.n_parameters), np.tile([0.1 - np.pi, 0.0], (21, 1))

@@ -13,7 +13,7 @@ from simbias.core.ranges import Bound, NonNegative, Positive
 from simbias.core.records import Array
 from simbias.policy.network import Kind, Network, Units
 from simbias.policy.observer import ObserverKind
-from simbias.simulation.goal import holding
+from simbias.simulation.goal import goal_along, held, holding, moves
 from simbias.simulation.linearization import linear_regulator, linearization
 from simbias.simulation.noise import QUIET, Variances
 
@@ -42,7 +42,8 @@ class Switched(Policy):
     Raises
     ------
     ValueError
-        If the goal does not cover all states, or the model has no regulator there.
+        If the goal does not cover all states, moves or cannot be held by the inputs, or the model has no
+        regulator there.
     """
 
     def __init__(
@@ -60,6 +61,10 @@ class Switched(Policy):
     ) -> None:
         if task.goals != task.states:
             raise ValueError("the task's goal must be all states, in their order")
+        if moves(goal := goal_along(task)):
+            raise ValueError("the task's goal moves, so no regulator holds it; use policy=mlp or trajectory")
+        if not held(task, nominal, goal[0]):
+            raise ValueError("the inputs cannot hold the task's goal, at which the regulator has to act")
         self._task, self._hysteresis, self._input_weight = task, hysteresis, input_weight
         self._swing_up = Network(
             task, nominal, kind, units, bound, observer=observer, noise=noise, latency=latency

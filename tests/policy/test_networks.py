@@ -119,6 +119,10 @@ def test_written_they_are_what_they_are_in_numpy(cartpole: Study, turning: Task)
 def test_it_switches_where_the_regulator_holds_and_not_at_once_back(cartpole: Study, turning: Task) -> None:
     with pytest.raises(ValueError, match="goal must be all states"):
         Switched(declared(goal={"position": "sin(t)"}, failure=None), cartpole.nominal)
+    for elsewhere, words in (("0.3 * t", "goal moves"), ("1.0", "cannot hold the task's goal")):
+        goal = {"position": "0", "angle": elsewhere, "d_position": "0", "d_angle": "0"}
+        with pytest.raises(ValueError, match=words):
+            Switched(declared(goal=goal, failure=None), cartpole.nominal)
     policy = Switched(turning, cartpole.nominal, hysteresis=4.0)
     theta = np.zeros(policy.n_parameters)  # the network's inputs are zero; level 1
     A, B = linearization(cartpole.nominal, np.zeros(4), np.zeros(1), turning.input_limit)
