@@ -21,7 +21,7 @@ from simbias.core.errors import ConfigError
 from simbias.core.messages import quote, words
 from simbias.core.ranges import Seed
 from simbias.core.records import Array
-from simbias.core.robot import check_quantities
+from simbias.core.robot import check_quantities, check_starts
 from simbias.trial.budget import Budget
 from simbias.trial.origin import model_digest
 from simbias.trial.policy_test import PolicyTest
@@ -106,6 +106,7 @@ def build_task(config: Any, own: Own) -> Task:
     try:
         _convert(task)
         check_quantities(task)
+        check_starts(task)
     except Exception as error:  # a custom class may lack them, or its properties may raise
         raise ConfigError("task", words(error)) from error
     return task

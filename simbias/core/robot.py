@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from copy import copy
@@ -10,11 +11,13 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
+from simbias.core.kernel import SlowWarning
 from simbias.core.policy import Policy
 from simbias.core.quantities import TURNS, Quantity, wrapped
 from simbias.core.records import Array, Indices, Rollout
 
 NEGLIGIBLE = 0.01  # share of the largest error
+DRAWN, MANY = 100, 0.1  # starts for checks of a task, and the share of failing ones that is reported
 NOT_A_NUMBER = "not_a_number"  # failure name of a non-finite state that violates no criterion
 
 
@@ -61,6 +64,33 @@ def check_quantities(task: Task) -> None:
         if each.wraps and each.unit not in TURNS:
             units = ", ".join(TURNS)
             raise ValueError(f"{each.name} wraps: expected an angle in {units}, got the unit {each.unit}")
+
+
+def check_starts(task: Task) -> None:
+    """Refuse a task if all drawn starts fail, or an output is not finite at any; warn if many do."""
+    rng = np.random.default_rng(0)
+    starts = np.array([task.draw_start(rng) for _ in range(DRAWN)])
+    failed = task.violated(starts) >= 0
+    with np.errstate(all="ignore"):
+        wrong = ~np.isfinite(task.output(starts[~failed])).T
+    names = dict.fromkeys(task.failure(start) or "" for start in starts[failed])
+    found = [(failed, f"the task fails at {{}} drawn starts: {', '.join(names)}")]
+    found += [
+        (each, f"output {output.name} is not finite at {{}} drawn starts that do not fail")
+        for output, each in zip(task.outputs, wrong, strict=True)
+    ]
+    for where, words in found:
+        if len(where) and where.all():
+            raise ValueError(words.format(f"all {len(where)}"))
+        if where.sum() > MANY * len(where):
+            warnings.warn(words.format(f"{where.sum()} of {len(where)}"), SlowWarning, stacklevel=2)
+
+
+def varied_states(task: Task) -> Array:
+    """States (k, n) of all magnitudes around drawn starts, the same at each call."""
+    rng = np.random.default_rng(0)
+    starts = np.array([task.draw_start(rng) for _ in range(DRAWN)])
+    return starts + rng.choice([-1.0, 0.0, 1.0], starts.shape) * 10.0 ** rng.uniform(-3.0, 3.0, starts.shape)
 
 
 def failure_name(criteria: Sequence[Criterion], index: int) -> str:

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import ast
+import warnings
+from collections.abc import Mapping, Sequence
 from typing import Any, final
 
 import numpy as np
 
-from simbias.core import Cost, Task
+from simbias.core import Cost, SlowWarning, Task
 from simbias.core.ranges import Coordinate, Positive
 from simbias.core.records import Array, Indices, Rollout
+from simbias.core.robot import varied_states
 from simbias.simulation.compiler import Expression, Expressions
+from simbias.simulation.linearization import input_scale
 
 NAMES = "running", "peak", "final"  # of the expressions
 LARGEST = 1e100  # of a sum, if a simulated state overflows, or an expression is not finite
@@ -48,6 +53,22 @@ class Declared(Cost):
         names = [*quantities, "t", *(f"{goal.name}_error" for goal in task.goals)]
         texts = dict(zip(NAMES, (running, peak, final), strict=True))
         self._expressions = Expressions(texts, names, constants)
+        self._check(texts, names)
+
+    def _check(self, texts: Mapping[str, str], names: Sequence[str]) -> None:
+        """Refuse an expression that is not finite in any of many states; warn if all are constant."""
+        x = varied_states(self._task)
+        t = np.linspace(0.0, self.horizon * self.time_step, len(x))
+        u = np.random.default_rng(0).uniform(-1.0, 1.0, (len(x), len(self._task.inputs)))
+        u *= input_scale(self._task)
+        values = self._expressions(np.column_stack([x, u, t, self._task.error(x, t)]))
+        for name, each in zip(texts, values.T, strict=True):
+            if not np.isfinite(each).any():
+                raise ValueError(f"{name} is not finite in any of {len(x)} states")
+        parts = (part for text in texts.values() for part in ast.walk(ast.parse(text.strip())))
+        if {part.id for part in parts if isinstance(part, ast.Name)}.isdisjoint(names):
+            words = "the cost is constant: policies differ only by when they fail"
+            warnings.warn(words, SlowWarning, stacklevel=3)
 
     def terms(self, x_next: Array, u: Array, t: Any) -> Array:
         """The values (..., 3) of the expressions in each frame."""

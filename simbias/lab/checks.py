@@ -39,7 +39,12 @@ def check_rollout(
     if not isinstance(rollout, Rollout):
         raise HardwareError(f"{source}: expected a Rollout, got {type(rollout).__name__}")
     n, m, T = len(task.states), len(task.inputs), task.horizon
-    inputs = _array(rollout.inputs, f"{source}: inputs", (None, m))
+    try:
+        inputs = _array(rollout.inputs, f"{source}: inputs", (None, m))
+    except HardwareError as error:
+        if words := _not_finite(rollout, task):
+            raise HardwareError(words) from error
+        raise
     k = len(inputs)
     states = unwound(_array(rollout.states, f"{source}: states", (k + 1, n)), task.states)
     measured = rollout.measured
@@ -79,6 +84,22 @@ def check_rollout(
     checked = Rollout(states, inputs, failed_at, failure, measured=measured, sensed=bool(rollout.sensed))
     checked = replace(checked, source=rollout.source and str(rollout.source))
     return checked if bounds is None else hold(checked, task, bounds, source)
+
+
+def _not_finite(rollout: Rollout, task: Task) -> str:
+    """The output of the task that first made an input not finite, in words; empty if none did."""
+    try:
+        seen = np.asarray(rollout.states if rollout.measured is None else rollout.measured, np.float64)
+        frame = int(np.argmin(np.isfinite(np.asarray(rollout.inputs, np.float64)).all(axis=1)))
+        wrong = np.flatnonzero(~np.isfinite(task.output(seen[frame])))
+    except (TypeError, ValueError, IndexError):  # other shapes
+        return ""
+    if not len(wrong) or not np.isfinite(seen[frame]).all():
+        return ""
+    at = ", ".join(
+        f"{each.name} {x:.3g} {each.unit}" for each, x in zip(task.states, seen[frame], strict=True)
+    )
+    return f"task.outputs.{task.outputs[wrong[0]].name} is not finite in frame {frame}, at {at}"
 
 
 def _array(given: Any, name: str, shape: tuple[int | None, int]) -> Array:

@@ -13,7 +13,7 @@ from interpreted import interpreted
 from mechanisms import declared
 
 import simbias
-from simbias.core import Cost, FittedBias, Model, Task
+from simbias.core import Cost, FittedBias, Model, SlowWarning, Task
 from simbias.core.records import Array, Indices, Rollout
 from simbias.cost.declared import Declared
 from simbias.cost.quadratic import Quadratic
@@ -187,7 +187,7 @@ def test_they_are_their_formulas_and_summed_up_frame_by_frame() -> None:
         formulas = [expected(rollout.states, rollout.inputs, task)[index] for rollout in rollouts]
         np.testing.assert_allclose(of_records, formulas, rtol=1e-12)
         np.testing.assert_allclose(found, of_records, rtol=1e-9)
-    for running in ("sqrt(position - 5)", "-1 / (0 * position)"):  # nan, infinite
+    for running in ("sqrt(position - 5)", "-1 / max(position - 5, 0)"):  # nan, infinite
         wrong = Declared(task, 9.0, 10.0, running=running)
         with interpreted():
             assert (CompiledSimulator.of(model, None, wrong).costs(wrong, thetas, starts)[0] > 1e90).all()
@@ -223,6 +223,10 @@ def test_what_it_does_not_know_is_refused() -> None:
     Quadratic(declared(goal={"angle": "0.01 * t"}), 1.0, {"position": 1.0}, {}, 1.0)
     with pytest.raises(ValueError, match="running: 'power'"):
         Declared(task, 1.0, 1.0, running="power")
+    with pytest.raises(ValueError, match="running is not finite in any of 100 states"):
+        Declared(task, 1.0, 1.0, running="sqrt(-1 - angle**2)")
+    with pytest.warns(SlowWarning, match="the cost is constant: policies differ only by when they fail"):
+        Declared(task, 1.0, 1.0, running="1")
 
 
 def test_what_is_not_finite_costs_a_finite_number(study: Study) -> None:

@@ -16,9 +16,11 @@ from mechanisms import CARTPOLE, DOUBLE, declared, drawn_from, shipped_task
 from point_mass import PointMass
 
 import simbias
+from simbias.config.allowed import NOTHING
+from simbias.config.build import build_task
 from simbias.config.components import construct
 from simbias.config.identity import identity_fields
-from simbias.core import Model, Quantity, SlowWarning, Task, wrapped
+from simbias.core import HardwareError, Model, Quantity, SlowWarning, Task, wrapped
 from simbias.core.quantities import unwound
 from simbias.core.records import Array, Rollout
 from simbias.core.robot import check_quantities
@@ -140,6 +142,7 @@ def test_a_file_draws_its_geoms() -> None:
 
 
 NEVER = {"near": {"value": "abs(position_error)", "below": -0.1, "unit": "m"}}
+CONTRARY = {"more": {"value": "position", "above": 1}, "less": {"value": "position", "below": 0.5}}
 STILL = {"still": {"value": "abs(angle_error)", "below": 0.1}}
 PULSES = {"count": 3, "amplitude": [20.0, 50.0], "seconds": [0.05, 0.1]}
 
@@ -279,6 +282,17 @@ def test_what_is_learned_from_does_not_jump_by_a_turn() -> None:
     np.testing.assert_allclose(checked.states[:, 1], angles)
 
 
+def test_the_tasks_output_is_to_blame_for_an_input_that_is_no_number() -> None:
+    task = declared(outputs={"root": {"value": "sqrt(angle)"}}, failure=None)
+    states, inputs = np.zeros((task.horizon + 1, 4)), np.zeros((task.horizon, 1))
+    inputs[3:] = np.nan
+    with one_line(r"robot: inputs: expected finite numbers, got \[nan\] in frame 3$", HardwareError):
+        check_rollout(Rollout(states, inputs), "robot", task)
+    states[3, 1] = -0.1
+    with one_line(r"^task.outputs.root is not finite in frame 3, at .* angle -0.1 rad,", HardwareError):
+        check_rollout(Rollout(states, inputs), "robot", task)
+
+
 def test_what_cannot_be_meant_is_refused() -> None:
     cases: list[tuple[dict[str, Any], str]] = [
         ({"inputs": {}}, "^task: inputs is empty"),
@@ -313,7 +327,27 @@ def test_what_cannot_be_meant_is_refused() -> None:
         ),
         (
             {"success": {"far": {"value": "abs( position )", "above": 2}}, "hold": 1.0},
-            "success.far cannot hold: the task fails wherever it does .leaves",
+            "success cannot hold: no value of position fits success.far and failure.leaves",
+        ),
+        (
+            {"success": {"far": {"value": "-position", "above": 1}, **CONTRARY}, "hold": 1.0},
+            "no value of position fits success.more and success.less and failure.leaves",
+        ),
+        (
+            {"success": {"none": {"value": "abs(d_angle)", "below": 0}}, "hold": 1.0},
+            "no value of d_angle fits success.none",
+        ),
+        (
+            {"success": {"root": {"value": "sqrt(-1 - d_angle**2)", "above": -1}}, "hold": 1.0},
+            "success.root is not a number in any of 100 states",
+        ),
+        (
+            {"states": CARTPOLE["states"] | {"angle": {"unit": "rad", "uniform": [2, 3]}}},
+            "^task: the task fails at all 100 drawn starts: falls",
+        ),
+        (
+            {"outputs": {"ratio": {"value": "angle / 0"}}},
+            "^task: output ratio is not finite at all 100 drawn starts that do not fail",
         ),
         (
             {"success": STILL, "hold": 5.0, "starts": [[0.0, 0.2, 0, 0]]},
@@ -343,7 +377,10 @@ def test_what_cannot_be_meant_is_refused() -> None:
     ]
     for changes, message in cases:
         with one_line(message):
-            declared(**changes)
+            build_task({**CARTPOLE, **changes}, NOTHING)
+    half = {"angle": {"unit": "rad", "uniform": [0, 2]}}
+    with pytest.warns(SlowWarning, match=r"the task fails at \d\d of 100 drawn starts: falls"):
+        build_task({**CARTPOLE, "states": CARTPOLE["states"] | half}, NOTHING)
 
 
 def test_a_reference_that_cannot_be_meant_is_refused(tmp_path: Path) -> None:

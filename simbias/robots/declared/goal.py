@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 import warnings
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +16,7 @@ from simbias.core.files import sought
 from simbias.core.messages import quote
 from simbias.core.records import Array
 from simbias.core.table import read_table
-from simbias.robots.declared.declarations import Failure, criterion_of, measure_of
+from simbias.robots.declared.declarations import Failure, criterion_of
 from simbias.simulation.compiler import Expressions
 
 TIME = "t"  # the name of time in expressions and of its column
@@ -214,12 +216,25 @@ class Success:
                 raise ValueError(f"success.{name} cannot hold: {there}")
 
     def check_beside(self, failures: Mapping[str, Failure]) -> None:
-        """Refuse conditions that hold only where a failure criterion with the same expression is violated."""
-        for name, each in self._conditions.items():
-            for other, failure in failures.items():
-                same = measure_of(name, each).replace(" ", "") == measure_of(other, failure).replace(" ", "")
-                if same and criterion_of(name, each, ()).limit >= criterion_of(other, failure, ()).limit:
-                    raise ValueError(f"success.{name} cannot hold: the task fails wherever it does ({other})")
+        """Refuse conditions on an expression or its `abs` that contradict each other or failure criteria."""
+        own = {f"success.{name}": each for name, each in self._conditions.items()}
+        keyed = own | {f"failure.{name}": each for name, each in failures.items()}
+        together = defaultdict[str, list[str]](list)
+        for key, each in keyed.items():
+            together[_within(each.value)[0]].append(key)
+        for expression, keys in together.items():
+            ends = np.unique([(0.0, _bound(keyed[key]), -_bound(keyed[key])) for key in keys])
+            values = np.concatenate([ends, (ends[1:] + ends[:-1]) / 2, 2 * ends[[0, -1]] + [-1.0, 1.0]])
+            met = [(_margin(keyed[key], values) > 0) == (key in own) for key in keys]
+            if keys[0] in own and not np.all(met, axis=0).any():
+                raise ValueError(f"success cannot hold: no value of {expression} fits {' and '.join(keys)}")
+
+    def check_numbers(self, states: Array, times: Array, errors: Array) -> None:
+        """Refuse conditions that are not a number in any of these states (k, .)."""
+        measures = self._measures(_rows_of(states, times, errors))
+        for name, each in zip(self._conditions, measures.T, strict=True):
+            if np.isnan(each).all():
+                raise ValueError(f"success.{name} is not a number in any of {len(states)} states")
 
     def holds(self, states: Array, times: Array, errors: Array) -> bool:
         """Whether an episode of states (T+1, .) at times (T+1,), with errors (T+1, g), succeeds."""
@@ -247,6 +262,25 @@ class Success:
         """The least of each measure in the last frames."""
         least: Array = self._measures(_rows_of(states, times, errors)[-self._frames :]).min(axis=0)
         return least
+
+
+def _within(expression: str) -> tuple[str, bool]:
+    """An expression in one spelling, without an outer `abs`, and whether it has one."""
+    node = ast.parse(expression.strip(), mode="eval").body
+    if isinstance(node, ast.Call) and ast.unparse(node.func) == "abs":
+        return ast.unparse(node.args[0]), True
+    return ast.unparse(node), False
+
+
+def _bound(condition: Failure) -> float:
+    """The number that a condition's value is compared with."""
+    return criterion_of("", condition, ()).limit * (1.0 if condition.below is None else -1.0)
+
+
+def _margin(condition: Failure, values: Array) -> Array:
+    """By how much (k,) the expression of a condition, or that within its `abs`, meets it at these values."""
+    given = np.abs(values) if _within(condition.value)[1] else values
+    return (given - _bound(condition)) * (1.0 if condition.below is None else -1.0)
 
 
 def _rows_of(states: Array, times: Array, errors: Array) -> Array:

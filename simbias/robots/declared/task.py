@@ -13,6 +13,7 @@ from simbias.core import Quantity, Task
 from simbias.core.files import ConfigFile
 from simbias.core.ranges import Coordinate, Frames, Seconds, TimeStep
 from simbias.core.records import Array
+from simbias.core.robot import varied_states
 from simbias.robots.declared.declarations import (
     DrawnPart,
     Failure,
@@ -238,6 +239,10 @@ class Declared(Task):
         states = np.full((len(times), len(self._known["variables"])), np.nan)
         self._success.check_at(np.column_stack([states, times, errors]))
         self._success.check_beside(failure)
+        x = varied_states(self)
+        t = np.linspace(0.0, self.horizon * self.time_step, len(x))
+        errors = np.random.default_rng(0).standard_normal((len(x), len(self._goals)))
+        self._success.check_numbers(self._seen(x), t, errors)
         for key, start in self._starts.means.items() if len(times) > self.horizon else ():
             if not self.succeeds(start[None]):
                 raise ValueError(
