@@ -282,6 +282,27 @@ def test_what_is_learned_from_does_not_jump_by_a_turn() -> None:
     np.testing.assert_allclose(checked.states[:, 1], angles)
 
 
+def test_a_condition_that_counts_turns_is_said() -> None:
+    """Unless the angle fails before it has turned, or the condition is a bound on it."""
+    states = CARTPOLE["states"] | {"angle": {"unit": "rad", "wraps": True}}
+    turned = {"falls": {"value": "lean", "above": 9.0}}
+    for failure, value, said in (
+        (None, "abs(angle)", "success.up"),
+        (None, "lean", "success.up"),
+        (turned, "angle_error", "failure.falls"),
+        ({"winds": {"value": "abs(angle)", "above": 9.0}}, "angle_error + abs(sin(angle))", None),
+        ({"falls": {"value": "abs(angle)", "above": 1.0}}, "abs(angle)", None),
+    ):
+        options = {"states": states, "where": {"lean": "angle**2"}, "failure": failure, "hold": 1.0}
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            declared(**options, success={"up": {"value": value, "below": 0.2}})
+        lines = [str(each.message) for each in caught]
+        assert [line.partition(" uses angle, which wraps, with its turns")[0] for line in lines] == [
+            said
+        ] * bool(said)
+
+
 def test_the_tasks_output_is_to_blame_for_an_input_that_is_no_number() -> None:
     task = declared(outputs={"root": {"value": "sqrt(angle)"}}, failure=None)
     states, inputs = np.zeros((task.horizon + 1, 4)), np.zeros((task.horizon, 1))

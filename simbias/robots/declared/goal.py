@@ -14,6 +14,7 @@ import numpy as np
 from simbias.core import Criterion, HardwareError, Quantity, SlowWarning, wrapped
 from simbias.core.files import sought
 from simbias.core.messages import quote
+from simbias.core.quantities import TURNS
 from simbias.core.records import Array
 from simbias.core.table import read_table
 from simbias.robots.declared.declarations import Failure, criterion_of
@@ -22,7 +23,7 @@ from simbias.simulation.compiler import Expressions
 TIME = "t"  # the name of time in expressions and of its column
 MOST_ROWS = 400  # of a file: each row is an operation of the compiled loop
 LONG = 100.0  # episodes: a longer file may have its time in ms
-TURNS = 2  # a larger angle may be in degrees
+MANY_TURNS = 2  # a larger angle may be in degrees
 SAMPLED = 10  # rows: a file with as many, evenly spaced, is a sampled curve
 BRIEF = 2  # frames, or rows of a sampled curve; the duration of a jump
 JUMP = 0.1  # least share of the range, and
@@ -141,9 +142,42 @@ def warn_of_degrees(reference: Reference, goals: Sequence[Quantity], seconds: fl
     for goal, each in zip(goals, values.T, strict=True):
         steps, value = np.diff(each), np.abs(each).max()
         turns_on = abs(each[0]) <= goal.turn and ((steps > 0).all() or (steps < 0).all())
-        if goal.wraps and goal.unit == "rad" and value > TURNS * goal.turn and not turns_on:
-            words = f"goal.{goal.name} is {value:.4g} rad, more than {TURNS} turns: is it in degrees?"
+        if goal.wraps and goal.unit == "rad" and value > MANY_TURNS * goal.turn and not turns_on:
+            words = f"goal.{goal.name} is {value:.4g} rad, more than {MANY_TURNS} turns: is it in degrees?"
             warnings.warn(words, SlowWarning, stacklevel=4)
+
+
+def warn_of_turns(
+    expressions: Mapping[str, str], states: Sequence[Quantity], criteria: Sequence[Criterion]
+) -> None:
+    """Warn if a condition uses an angle that wraps outside of sin and cos, where its turns count.
+
+    Expressions are named ones, then conditions by their keys. An angle that fails within half a turn makes
+    no turns.
+    """
+    bounds = {name: bound for each in criteria for name, bound in each.bounds.items()}
+    half = {each.name: TURNS.get(each.unit, 0.0) / 2 for each in states if each.wraps}
+    turning = {name: name for name in half if bounds.get(name, np.inf) > half[name]}
+    for key, text in expressions.items():
+        for name in sorted(turning.keys() & _outside(text)):
+            turning[key] = turning[name]
+    for key in [key for key in turning if "." in key][:1]:
+        angle = turning[key]
+        words = f"{key} uses {angle}, which wraps, with its turns, so that a whole turn is not zero; "
+        words += f"sin({angle}), cos({angle}) and the goal's error leave them out"
+        warnings.warn(words, SlowWarning, stacklevel=4)
+
+
+def _outside(text: str) -> set[str]:
+    """The names that an expression uses outside of sin and cos."""
+    found, parts = set[str](), list[ast.AST]([ast.parse(text.strip(), mode="eval").body])
+    while parts:
+        part = parts.pop()
+        if isinstance(part, ast.Name):
+            found.add(part.id)
+        elif not (isinstance(part, ast.Call) and ast.unparse(part.func) in ("sin", "cos")):
+            parts += ast.iter_child_nodes(part)
+    return found
 
 
 def check_jumps(reference: Reference, goals: Sequence[Quantity], time_step: float) -> None:

@@ -34,6 +34,7 @@ from simbias.robots.declared.goal import (
     check_within,
     success_names,
     warn_of_degrees,
+    warn_of_turns,
 )
 from simbias.robots.declared.starts import Starts, State
 from simbias.robots.mujoco.figure import Figure, FigureFile
@@ -124,6 +125,7 @@ class Declared(Task):
         self._set_failures(dict(failure or {}))
         self._set_goal(dict(goal or {}), reference)
         self._set_success(dict(success or {}), hold, dict(failure or {}))
+        self._warn_of_turns(dict(failure or {}), dict(success or {}))
         names = tuple(each.name for each in self.inputs)
         self.pushes = tuple(
             push_of(name, each, names, time_step) for name, each in dict(pushes or {}).items()
@@ -248,6 +250,14 @@ class Declared(Task):
                 raise ValueError(
                     f"{key}: hold is a whole episode, but {self.missed(start[None])} at its start"
                 )
+
+    def _warn_of_turns(self, failure: Mapping[str, Failure], success: Mapping[str, Failure]) -> None:
+        """Warn if a condition counts the turns of an angle; a failure's `abs` of an angle may mean to."""
+        named = {**self._known["where"], **{f"success.{name}": each.value for name, each in success.items()}}
+        for criterion, each in zip(self.criteria, failure.values(), strict=True):
+            if not criterion.bounds:
+                named[f"failure.{criterion.name}"] = each.value
+        warn_of_turns(named, self.states, self.criteria)
 
     def _measures(self, key: str, conditions: Mapping[str, Failure], names: Sequence[str]) -> Expressions:
         """Measures that exceed the limits of conditions if these hold."""
