@@ -6,15 +6,14 @@ from collections.abc import Sequence
 from math import pi
 from typing import Annotated, NamedTuple
 
-import numpy as np
 from pydantic import Field
 
 from simbias.core import Model
 from simbias.core.proportions import clopper_pearson, passes_needed
 from simbias.core.records import Array, Iteration, Rollout
+from simbias.search.optimizer.trajectory_candidates import same_policy
 
 ERROR = 0.05  # probability that a trial overstates the share of starts for any of its policies
-SAME = 1e-6  # of a policy's largest parameter: smaller differences are ignored
 
 Confidence = Annotated[float, Field(gt=0, lt=1)]  # a share of starts to be established
 
@@ -60,8 +59,7 @@ def iterations_with(theta: Array, model: Model | None, iterations: Sequence[Iter
 
     With the same parameters, a policy that is redesigned on another nominal model is another policy.
     """
-    within = SAME * np.abs(theta).max(initial=0.0)  # plans are recomputed, and differ in their last digits
-    same = (each for each in iterations if np.allclose(each.parameters, theta, rtol=SAME, atol=within))
+    same = (each for each in iterations if same_policy(theta, each.parameters))
     return [each for each in same if _same_design(each.model, model)]
 
 

@@ -20,7 +20,7 @@ from simbias.learning.identification.identified import Identified
 from simbias.policy.trajectory import Trajectory
 from simbias.search.optimizer.ilqr import SHARE
 from simbias.simulation.closed_loop import simulator
-from simbias.simulation.goal import goal_held
+from simbias.simulation.goal import goal_along, goal_held, moves
 from simbias.trial.claim import iterations_with
 from simbias.trial.study import Study
 
@@ -103,13 +103,15 @@ def _at_limits(inputs: Array, model: Model) -> str:
 
 
 def _beyond_reach(states: Array, model: Model) -> str:
-    """Why states (T+1, n) miss the goal, in words: it cannot be held, or was still approached; else empty."""
-    if not goal_held(model.task, model.nominal):
+    """Why states (T+1, n) miss the goal, and what may help, in words."""
+    task = model.task
+    if not goal_held(task, model.nominal):
         return ", and cannot hold the goal"
-    short = model.task.shortfalls(states)
-    if (short[-1] < NEARER * short[: int(EARLIER * len(short))].min(axis=0, initial=np.inf)).all():
-        return "; it was still approaching, so the horizon may be too short"
-    return ""
+    short = task.shortfalls(states)
+    coming = (short[-1] < NEARER * short[: int(EARLIER * len(short))].min(axis=0, initial=np.inf)).all()
+    late = "; it was still approaching, so the horizon may be too short" if coming else ""
+    random = isinstance(model.policy, Trajectory) and not moves(goal_along(task))
+    return late + "; a larger method.trajectories tries more plans" * random
 
 
 def of_starts(theta: Array, model: Model, cost: Cost) -> Iterator[Remark]:

@@ -36,6 +36,7 @@ def search(
     posterior_scale: float = 1.0,
     last: Iterable[Array] = (),
     trajectories: int = 0,
+    refuted: Sequence[Array] = (),
 ) -> Search:
     """Optimise the policy in simulation, on a corrected model (the dashed loop of Fig. 1).
 
@@ -44,7 +45,7 @@ def search(
     `posterior_scale`. The best optimum is returned, with the evaluations of all searches. Each first
     evaluates the last policies (p,), LQR policies of `lqr_candidates` models (`simbias.search.lqr`), and
     policies that follow the best of some trajectories (`simbias.search.optimizer.ilqr`), planned on the model
-    with or without its bias.
+    with or without its bias, and others than the `refuted` policies (p,) if these miss the goal there.
 
     Raises
     ------
@@ -56,7 +57,7 @@ def search(
     searches: list[tuple[Optimum, float]] = []
     drawn = model
     models = (model, study.model(nominal=model.nominal)) if trajectories else (model,)
-    planned = trajectory_candidates(models, trajectories, study.cost.goal_weights)
+    planned = trajectory_candidates(models, trajectories, study.cost.goal_weights, refuted)
     designs = lqr.lqr_candidates(model, lqr_candidates), planned
     candidates: Iterator[Array] = chain(last, *designs)
     while not searches or (searches[-1][1] > target and len(searches) <= retries):

@@ -265,6 +265,20 @@ def test_where_a_correction_lets_no_plan_exist_it_is_of_the_model_without(
     assert after.search.predicted_cost > before.search.predicted_cost
 
 
+@pytest.mark.slow
+def test_a_plan_that_is_refuted_and_misses_the_goal_is_not_the_next_one(
+    uncompiled: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Shooting, "plan", Shooting._first)  # random inputs, which miss it
+    models = [simbias.load([*NEAR, "task.hold=0.5", "task.states.angle.mean=2.5"]).first_model()]
+    first, again = (list(trajectory_candidates(models, 1, None, refuted)) for refuted in ([], [np.zeros(1)]))
+    np.testing.assert_array_equal(first, again)
+    other = list(trajectory_candidates(models, 1, None, [first[1]]))
+    assert np.abs(other[0] - first[0]).max() > 1e-3
+    monkeypatch.setattr(type(models[0].task), "succeeds", lambda self, states: True)
+    np.testing.assert_array_equal(list(trajectory_candidates(models, 1, None, [first[1]])), first)
+
+
 def test_without_a_policy_that_follows_it_is_one_line(cartpole: Study) -> None:
     other = simbias.load(["preset=cartpole", "tracking=none"])
     with pytest.raises(ConfigError, match="OutputFeedback follows no trajectory; policy=trajectory does"):

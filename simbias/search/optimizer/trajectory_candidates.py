@@ -18,20 +18,26 @@ from simbias.search.optimizer.ilqr import GAIN_WEIGHTS, Shooting
 from simbias.simulation.goal import goal_along, moves
 
 DEARER = 1.5  # times a plan's cost: if following its knots costs more, a warning says so
+SAME = 1e-6  # of a policy's largest parameter: smaller differences are ignored
 SEED = 0  # of the plans' initial random inputs, so that the same model gives the same trajectories
 
 
 def trajectory_candidates(
-    models: Sequence[Model], count: int, weights: GoalWeights | None = None
+    models: Sequence[Model],
+    count: int,
+    weights: GoalWeights | None = None,
+    refuted: Sequence[Array] = (),
 ) -> Iterator[Array]:
     """Policies (p,) that follow the best of `count` trajectories, one for each weight of the inputs.
 
     Trajectories to a resting goal begin with different random inputs; the one to a moving goal begins at
     rest. If a resting goal leaves some states free, one more begins at rest. They are planned on the first of
     the models that allows any: a correction learned from few experiments may make a model fail whatever its
-    inputs. If random inputs fail on all models, a trajectory that begins at rest is tried. Trajectories are
-    weighted as in a cost that is quadratic about the goal; otherwise there are default weights. Planning
-    starts when the first policy is requested, which a replayed search does not do.
+    inputs. If random inputs fail on all models, a trajectory that begins at rest is tried. If the best one
+    misses the goal, and the hardware has refuted (p,) a policy that follows it, others are planned from new
+    random inputs. Trajectories are weighted as in a cost that is quadratic about the goal; otherwise there
+    are default weights. Planning starts when the first policy is requested, which a replayed search does not
+    do.
 
     Raises
     ------
@@ -50,10 +56,8 @@ def trajectory_candidates(
         begun = [(count, 0), (0, 1)] if task.goals == task.states else [(count, 1)]
     for (random, at_rest), model in product(begun, models):
         shooting = Shooting(replace(model, task=task), weights, policy.sliding)
-        rngs = [*np.random.default_rng(SEED).spawn(random), *[None] * at_rest]
-        found = [plan for plan in map(shooting.plan, rngs) if plan is not None]
-        if found:
-            best = min(found, key=lambda plan: plan.cost)
+        best = _planned(shooting, task, policy, random, at_rest, refuted)
+        if best is not None:
             followed = shooting.along_knots(best, policy.times)
             _warn_of_few_knots(best, followed, len(policy.times), models[0].task.horizon)
             yield from shooting.following.policies(best, policy, GAIN_WEIGHTS)
@@ -64,6 +68,27 @@ def trajectory_candidates(
     start = ", ".join(f"{each.name} {mean:g} {each.unit}" for each, mean in means if mean) or "all states 0"
     problem = f"the model fails from its start ({start}), whichever inputs a trajectory begins with: {inputs}"
     raise ConfigError("method.trajectories", problem)
+
+
+def _planned(
+    shooting: Shooting, task: Task, policy: Trajectory, random: int, at_rest: int, refuted: Sequence[Array]
+) -> Plan | None:
+    """The best of so many plans; if it misses the goal and is refuted, that of other random inputs."""
+    rng, best = np.random.default_rng(SEED), None
+    for rests in (at_rest, *[0] * len(refuted)):
+        plans = [shooting.plan(each) for each in (*rng.spawn(random), *[None] * rests)]
+        best = min(filter(None, plans), key=lambda plan: plan.cost, default=best)
+        if best is None or task.succeeds(best.states) is not False:
+            break
+        policies = shooting.following.policies(best, policy, GAIN_WEIGHTS)
+        if not any(same_policy(*pair) for pair in product(policies, refuted)):
+            break
+    return best
+
+
+def same_policy(theta: Array, other: Array) -> bool:
+    """Whether policies (p,) are the same; plans are recomputed, and differ in their last digits."""
+    return np.allclose(other, theta, rtol=SAME, atol=SAME * np.abs(theta).max(initial=0.0))
 
 
 def follower(task: Task, policy: Policy) -> Trajectory:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -72,7 +72,8 @@ class ModelBased(Method):
         Number of trajectories that a search plans on the model (`simbias.search.optimizer.ilqr`), from
         different initial inputs. The search first evaluates policies that follow the best one. Only with
         `from_last` are they compared with the last policy, which the hardware has refuted but which may cost
-        less on the corrected model. Requires policy=trajectory.
+        less on the corrected model. If the best one misses the goal and is refuted already, others are
+        planned. Requires policy=trajectory.
     random_experiments
         Experiments with random inputs instead of a policy before the first search (J in PILCO). They count as
         experiments, and are learned from.
@@ -128,6 +129,7 @@ class ModelBased(Method):
         experiments: list[Rollout] = []
         learned_from: list[tuple[Rollout, ...]] = []  # the experiments that D comes from
         last: Iterable[Array] = self._known(study)
+        refuted: list[Array] = []
         for random_rng in hardware_rng.spawn(self.random_experiments):
             experiments.append(random_experiment(study, random_rng, observer))
             learned_from.append((experiments[-1],))
@@ -136,9 +138,10 @@ class ModelBased(Method):
         for index in range(self.max_iterations):
             clock = Stopwatch()
             with clock("search"):
-                found = self._search(study, model, search_rng, observer, last)
+                found = self._search(study, model, search_rng, observer, last, refuted)
             theta, simulation = found.optimum.parameters, model
             last = [theta] if self.from_last else []
+            refuted = [*refuted, theta]
             reset = found.predicted_cost > study.cost.max_cost and not self.keep_data
             if reset:
                 data, learned_from = study.no_data, []
@@ -170,6 +173,7 @@ class ModelBased(Method):
         rng: np.random.Generator,
         observer: Observer,
         last: Iterable[Array],
+        refuted: Sequence[Array],
     ) -> Search:
         """The search on a model, with the method's options."""
         return search(
@@ -183,6 +187,7 @@ class ModelBased(Method):
             posterior_scale=self.posterior_scale,
             last=last,
             trajectories=self.trajectories,
+            refuted=refuted,
         )
 
     def _known(self, study: Study) -> Iterator[Array]:
