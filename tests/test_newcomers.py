@@ -108,7 +108,7 @@ def shown(study: Study) -> str:
 def test_what_an_own_component_breaks_is_one_line_before_the_trial(compilable: Study) -> None:
     study = replace(compilable, bias=NoBias())
     with interpreted(), warnings.catch_warnings():
-        warnings.simplefilter("error", simbias.core.SlowWarning)  # ordinary NumPy can be compiled
+        warnings.simplefilter("error", simbias.core.StudyWarning)  # ordinary NumPy can be compiled
         rehearse(study)
     for group, component, line in (
         ("cost", lambda _: OfTheFirst(), "OfTheFirst.of_totals: expected for several points what it gives"),
@@ -123,7 +123,7 @@ def test_what_an_own_component_breaks_is_one_line_before_the_trial(compilable: S
         assert str(caught.value).startswith(line)
         assert str(caught.value).isprintable()
     said = r"slower.*: Decides.step \(test_newcomers.py:\d+: it branches on a value.*kernels.py"
-    with pytest.warns(simbias.core.SlowWarning, match=said):
+    with pytest.warns(simbias.core.StudyWarning, match=said):
         rehearse(replace(study, nominal=Decides(study.task)))  # type: ignore[arg-type]
 
 

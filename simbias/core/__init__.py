@@ -25,7 +25,8 @@ only by rounding. A component may provide a `kernel` instead (`simbias.simulatio
 
 # ruff: noqa: F401  (names for others to import)
 
-from simbias.core.kernel import Kernel, SlowWarning
+from simbias.core.errors import StudyWarning
+from simbias.core.kernel import Kernel
 from simbias.core.model import Bias, FittedBias, Identification, Model, Nominal, Samples
 from simbias.core.objective import Objective
 from simbias.core.policy import Controller, Law, Policy

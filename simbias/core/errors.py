@@ -19,6 +19,10 @@ class ConfigError(ValueError):
         return ConfigError, (self.key, self.problem)
 
 
+class StudyWarning(UserWarning):
+    """Warns that a study works, but slowly, or perhaps not as intended; the message says what to do."""
+
+
 def reason(error: Exception) -> str:
     """The reason why a file or a value was refused, in words."""
     if isinstance(error, RecursionError):

@@ -14,7 +14,3 @@ class Kernel(NamedTuple):
 
     function: Callable
     parameters: Any  # an array; for a bias that works on all lanes, a tuple of arrays
-
-
-class SlowWarning(UserWarning):
-    """Warns that a request works but is slow; the message says how slow, and what would be faster."""

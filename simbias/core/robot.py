@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from simbias.core.kernel import SlowWarning
+from simbias.core.errors import StudyWarning
 from simbias.core.policy import Policy
 from simbias.core.quantities import TURNS, Quantity, wrapped
 from simbias.core.records import Array, Indices, Rollout
@@ -83,7 +83,7 @@ def check_starts(task: Task) -> None:
         if len(where) and where.all():
             raise ValueError(words.format(f"all {len(where)}"))
         if where.sum() > MANY * len(where):
-            warnings.warn(words.format(f"{where.sum()} of {len(where)}"), SlowWarning, stacklevel=2)
+            warnings.warn(words.format(f"{where.sum()} of {len(where)}"), StudyWarning, stacklevel=2)
 
 
 def varied_states(task: Task) -> Array:

@@ -9,7 +9,7 @@ from typing import Any, final
 
 import numpy as np
 
-from simbias.core import Cost, SlowWarning, Task
+from simbias.core import Cost, StudyWarning, Task
 from simbias.core.ranges import Coordinate, Positive
 from simbias.core.records import Array, Indices, Rollout
 from simbias.core.robot import varied_states
@@ -68,7 +68,7 @@ class Declared(Cost):
         parts = (part for text in texts.values() for part in ast.walk(ast.parse(text.strip())))
         if {part.id for part in parts if isinstance(part, ast.Name)}.isdisjoint(names):
             words = "the cost is constant: policies differ only by when they fail"
-            warnings.warn(words, SlowWarning, stacklevel=3)
+            warnings.warn(words, StudyWarning, stacklevel=3)
 
     def terms(self, x_next: Array, u: Array, t: Any) -> Array:
         """The values (..., 3) of the expressions in each frame."""

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import block_diag
 
-from simbias.core import Model, SlowWarning
+from simbias.core import Model, StudyWarning
 from simbias.core.records import MEMORY, Array
 from simbias.simulation.goal import resting_goal
 from simbias.simulation.linearization import STEP, advanced, derivatives, input_scale, linear_regulator
@@ -64,7 +64,7 @@ def lqr_candidates(model: Model, count: int) -> Iterator[Array]:
     models = [model, *(replace(model, nominal=model.nominal.draw(rng)) for rng in rngs)][:count]
     policies = [theta for each in models for theta in lqr_policies(each, sticking=True)]
     if models and not policies:
-        warnings.warn(f"searches begin without LQR: {why_none(model, 'none')}", SlowWarning, stacklevel=2)
+        warnings.warn(f"searches begin without LQR: {why_none(model, 'none')}", StudyWarning, stacklevel=2)
     yield from policies
 
 
@@ -98,7 +98,7 @@ def lqr_policies(
     goal = resting_goal(model.task)
     policies = _regulating(model, goal, input_weights, integral_weight, sticking)
     if policies is None:
-        warnings.warn(NO_ERRORS.format(type(model.policy).__name__), SlowWarning, stacklevel=2)
+        warnings.warn(NO_ERRORS.format(type(model.policy).__name__), StudyWarning, stacklevel=2)
         policies = _regulating(model, None, input_weights, integral_weight, sticking)
     return policies or []
 
@@ -130,7 +130,7 @@ def _regulating(
         if (np.abs(integrated) > NEAR).any() or not _is_imitated(model, linear, found[0], goal):
             return None
     if policies and offset and not integral_weight:
-        warnings.warn(STEADY_INPUT.format(type(model.policy).__name__), SlowWarning, stacklevel=3)
+        warnings.warn(STEADY_INPUT.format(type(model.policy).__name__), StudyWarning, stacklevel=3)
     return policies
 
 

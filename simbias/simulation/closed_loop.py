@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simbias.core import Cost, Model, Simulator, SlowWarning
+from simbias.core import Cost, Model, Simulator, StudyWarning
 from simbias.core.records import Array, Disturbance, Indices
 from simbias.simulation.compiled import CompiledSimulator
 from simbias.simulation.compiler import parts_of
@@ -50,7 +50,7 @@ def _say_what_is_slow(model: Model) -> None:
         f"simulated in NumPy, up to 500 times slower than compiled, as it cannot be compiled: {reasons}; "
         "see simbias/simulation/compiler/kernels.py for what can"
     )
-    warnings.warn(message, SlowWarning, stacklevel=3)
+    warnings.warn(message, StudyWarning, stacklevel=3)
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ import warnings
 
 import numpy as np
 
-from simbias.core import Nominal, SlowWarning, Task, wrapped
+from simbias.core import Nominal, StudyWarning, Task, wrapped
 from simbias.core.quantities import unwound
 from simbias.core.records import Array
 from simbias.simulation.linearization import STEP, input_scale, linearization
@@ -43,7 +43,7 @@ def resting_goal(task: Task) -> Array | None:
     x = np.array([named.get(state.name, 0.0) for state in task.states])
     if not np.allclose(wrapped(task.aim(x) - goal[0], task.goals), 0.0):
         words = f"LQR regulates to zero, because the goal is for outputs ({', '.join(named)}), not states"
-        warnings.warn(words, SlowWarning, stacklevel=2)
+        warnings.warn(words, StudyWarning, stacklevel=2)
         return None
     return x if x.any() else None
 

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from simbias.config import Composition
 from simbias.config.build import build
-from simbias.core import SlowWarning
+from simbias.core import StudyWarning
 from simbias.core.error_origin import has_own_code
 from simbias.core.errors import ConfigError
 from simbias.core.messages import quote, with_trace, with_type, words
@@ -65,7 +65,7 @@ def run_plan(plan: PlannedTrial) -> Result:
     folder = None if plan.folder is None else Path(plan.folder)
     begun = plan.code is None  # otherwise the worker may be on another machine
     with warnings.catch_warnings(), ExitStack() as stack:
-        warnings.simplefilter("ignore", SlowWarning)  # would print a line for each fit of each trial
+        warnings.simplefilter("ignore", StudyWarning)  # would print a line for each fit of each trial
         try:
             if folder is not None and apart:
                 folder = Path(stack.enter_context(temporary_folder()), folder.name)

@@ -23,7 +23,7 @@ from simbias.recordings.excitation import Designer, Excitation
 from simbias.recordings.files import GROUP, OPTION, check_replaces_nothing, write
 from simbias.recordings.reading import Recordings, read_apart
 from simbias.terminal.lines import progress, say, standard_output
-from simbias.terminal.notices import preparing, slowness_in_one_line
+from simbias.terminal.notices import preparing, warnings_in_one_line
 from simbias.trial.study import Study
 
 SECONDS, TRAJECTORIES = 5.0, 40  # of the next excitation
@@ -103,7 +103,7 @@ def identify(request: Request, attach: bool = False) -> bool:
     attached trial that has no recordings.
     """
     console = standard_output()
-    with slowness_in_one_line():
+    with warnings_in_one_line():
         study, recordings, held_out = request.opened(console, LONGEST, attach)
         if attach and isinstance(study.hardware, Recorded) and not study.hardware.source_files:
             problem = "has no recording to start a trial with (--attach); choose another hardware"

@@ -1,4 +1,4 @@
-"""Notices on stderr: about compilation, and about slowness."""
+"""Notices on stderr: about compilation, and warnings."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 from numba.core.event import Event, Listener, install_listener
 
-from simbias.core import SlowWarning
+from simbias.core import StudyWarning
 
 COMPILING = "Compiling the simulation for this machine; later runs load it from the cache ..."
 
@@ -39,19 +39,19 @@ def preparing() -> Iterator[None]:
 
 
 @contextmanager
-def slowness_in_one_line() -> Iterator[None]:
-    """Show each SlowWarning once, as one line, without its place in the code."""
+def warnings_in_one_line() -> Iterator[None]:
+    """Show each StudyWarning once, as one line, without its place in the code."""
     shown_otherwise = warnings.showwarning
     shown: set[str] = set()
 
     def show(message: Warning | str, *place: Any, **otherwise: Any) -> None:
-        if not isinstance(message, SlowWarning):
+        if not isinstance(message, StudyWarning):
             shown_otherwise(message, *place, **otherwise)
         elif str(message) not in shown:
             print(f"simbias: {message}", file=sys.stderr)
             shown.add(str(message))
 
     with warnings.catch_warnings():
-        warnings.simplefilter("always", SlowWarning)
+        warnings.simplefilter("always", StudyWarning)
         warnings.showwarning = show
         yield

@@ -25,7 +25,7 @@ from simbias.engine.workplace import tidy
 from simbias.lab.checked_hardware import ask
 from simbias.sweep.tracking import Export, Tracking
 from simbias.terminal.lines import say, standard_output, temporary_traceback
-from simbias.terminal.notices import preparing, slowness_in_one_line
+from simbias.terminal.notices import preparing, warnings_in_one_line
 from simbias.testing.rehearsal import rehearse
 from simbias.trial import continuation, diagnostics
 from simbias.trial.diagnostics import Remark
@@ -56,7 +56,7 @@ def run(
     service(composition, "engine", Engine)  # a single trial needs no engine, but an invalid one is bad input
     tidy()  # a finished trial creates no folder, which would do this
     store: Tracking = service(composition, "tracking", Tracking)
-    with slowness_in_one_line():
+    with warnings_in_one_line():
         with preparing():
             study = build(composition)
             rehearse(study)

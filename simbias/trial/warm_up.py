@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from simbias.core import SlowWarning
+from simbias.core import StudyWarning
 from simbias.core.records import Array, Transitions
 from simbias.trial.study import Study
 
@@ -22,7 +22,7 @@ def warm_up(study: Study) -> None:
     some_data = Transitions(rng.standard_normal((2, n + m)), rng.standard_normal((2, n)))
     _compile(study, study.no_data, theta, rng)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", SlowWarning)  # already given
+        warnings.simplefilter("ignore", StudyWarning)  # already given
         _compile(study, some_data, theta, rng)  # a fitted bias may have another kernel
 
 

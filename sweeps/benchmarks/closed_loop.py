@@ -25,7 +25,7 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "support"))
 from in_numpy import CartPole, Feedback
 
 import simbias
-from simbias.core import FittedBias, Nominal, Simulator, SlowWarning
+from simbias.core import FittedBias, Nominal, Simulator, StudyWarning
 from simbias.core.records import Array, Disturbance, Transitions
 from simbias.learning.bias.none import ZeroBias
 from simbias.simulation.closed_loop import join, simulator
@@ -192,7 +192,7 @@ def print_table(ways: Mapping[str, Callable[[], int]], reference: str) -> None:
 
 
 if __name__ == "__main__":
-    warnings.simplefilter("ignore", SlowWarning)
+    warnings.simplefilter("ignore", StudyWarning)
     set_num_threads(1)
     with threadpool_limits(1):
         main()

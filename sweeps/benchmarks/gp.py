@@ -20,7 +20,7 @@ from sklearn.gaussian_process.kernels import RBF, WhiteKernel
 from threadpoolctl import threadpool_limits
 
 import simbias
-from simbias.core import FittedBias, SlowWarning
+from simbias.core import FittedBias, StudyWarning
 from simbias.core.records import Array, Transitions
 from simbias.learning.covariance import correlation
 from simbias.simulation.compiler import LANES
@@ -116,6 +116,6 @@ def main(sizes: list[int]) -> None:
 
 
 if __name__ == "__main__":
-    warnings.simplefilter("ignore", SlowWarning)
+    warnings.simplefilter("ignore", StudyWarning)
     with threadpool_limits(1):
         main([int(argument) for argument in sys.argv[1:]] or SIZES)

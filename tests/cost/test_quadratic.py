@@ -13,7 +13,7 @@ from interpreted import interpreted
 from mechanisms import declared
 
 import simbias
-from simbias.core import Cost, FittedBias, Model, SlowWarning, Task
+from simbias.core import Cost, FittedBias, Model, StudyWarning, Task
 from simbias.core.records import Array, Indices, Rollout
 from simbias.cost.declared import Declared
 from simbias.cost.quadratic import Quadratic
@@ -225,7 +225,7 @@ def test_what_it_does_not_know_is_refused() -> None:
         Declared(task, 1.0, 1.0, running="power")
     with pytest.raises(ValueError, match="running is not finite in any of 100 states"):
         Declared(task, 1.0, 1.0, running="sqrt(-1 - angle**2)")
-    with pytest.warns(SlowWarning, match="the cost is constant: policies differ only by when they fail"):
+    with pytest.warns(StudyWarning, match="the cost is constant: policies differ only by when they fail"):
         Declared(task, 1.0, 1.0, running="1")
 
 

@@ -13,7 +13,7 @@ from point_mass import PointMass
 import simbias
 from simbias.config import ConfigError
 from simbias.config.build import build
-from simbias.core import SlowWarning
+from simbias.core import StudyWarning
 from simbias.core.records import Array, Transitions
 from simbias.learning.bias.gp import GaussianProcess
 from simbias.learning.bias.inducing import Inducing, choose
@@ -24,7 +24,7 @@ from simbias.learning.covariance import Hyperparameters, correlation, stable_cho
 from simbias.learning.identification.delay import Delay
 from simbias.simulation.compiler import LANES, compile_closed_loop
 from simbias.sweep.worker import PlannedTrial, run_plan
-from simbias.terminal.notices import slowness_in_one_line
+from simbias.terminal.notices import warnings_in_one_line
 from simbias.trial.study import Study
 from simbias.trial.warm_up import warm_up
 
@@ -88,7 +88,7 @@ def test_far_from_the_data_it_is_the_linear_function(study: Study) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::simbias.core.SlowWarning")
+@pytest.mark.filterwarnings("ignore::simbias.core.StudyWarning")
 def test_kernel_agrees_with_plain_correction(study: Study) -> None:
     """Single precision: 1e-6, of sums of 1200 terms whose sizes add up to 20 (residuals here are random)."""
     for n, linear in ((1, 0.0), (2, 0.0), (3, 1.0), (5, 0.0), (97, 0.0), (97, 1.0), (1200, 0.0)):
@@ -164,12 +164,12 @@ def test_where_the_exact_posterior_is_too_slow_it_says_so(
     study: Study, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Once a fit, in one line for a person; the default threshold is at N = 1198."""
-    with pytest.warns(SlowWarning) as caught:
+    with pytest.warns(StudyWarning) as caught:
         study.bias.fit(data(1200))
     (warning,) = caught
     assert "1200 samples" in str(warning.message)
     assert str(warning.message).endswith("use bias=sparse_gp")
-    with slowness_in_one_line():
+    with warnings_in_one_line():
         study.bias.fit(data(1200))
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("simbias: exact GP, 1200 samples")
@@ -186,7 +186,7 @@ def test_a_sweeps_workers_keep_it_to_themselves(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr("simbias.learning.bias.gp.PATIENCE", 0.0)
     short = ["optimizer.max_evaluations=5", "method.max_iterations=1"]
     trial = simbias.load(["tracking=none", *short]).composition
-    with pytest.warns(SlowWarning):
+    with pytest.warns(StudyWarning):
         (iteration,) = build(trial).run()
     assert len(iteration.learning.data) > 0
     with warnings.catch_warnings():

@@ -20,7 +20,7 @@ from simbias.config.allowed import NOTHING
 from simbias.config.build import build_task
 from simbias.config.components import construct
 from simbias.config.identity import identity_fields
-from simbias.core import HardwareError, Model, Quantity, SlowWarning, Task, wrapped
+from simbias.core import HardwareError, Model, Quantity, StudyWarning, Task, wrapped
 from simbias.core.quantities import unwound
 from simbias.core.records import Array, Rollout
 from simbias.core.robot import check_quantities
@@ -168,7 +168,7 @@ def test_a_goal_that_turns_on_is_not_asked_whether_it_is_in_degrees(recwarn: pyt
 @pytest.mark.parametrize(("unit", "half"), [("rad", np.pi), ("deg", 180.0), ("rev", 0.5)])
 def test_a_goal_moves_and_an_angle_wraps_by_a_turn_in_its_unit(unit: str, half: float) -> None:
     states = CARTPOLE["states"] | {"angle": {"unit": unit, "wraps": True}}
-    asked = pytest.warns(SlowWarning, match=r"angle is 180 rad, more than 2 turns: is it in degrees\?")
+    asked = pytest.warns(StudyWarning, match=r"angle is 180 rad, more than 2 turns: is it in degrees\?")
     with asked if unit == "rad" else warnings.catch_warnings(action="error"):
         declared(states=states, failure=None, goal={"angle": "180.0"})
     task = declared(states=states, failure=None, goal={"position": "0.3 * sin(2 * t)", "angle": str(half)})
@@ -400,7 +400,7 @@ def test_what_cannot_be_meant_is_refused() -> None:
         with one_line(message):
             build_task({**CARTPOLE, **changes}, NOTHING)
     half = {"angle": {"unit": "rad", "uniform": [0, 2]}}
-    with pytest.warns(SlowWarning, match=r"the task fails at \d\d of 100 drawn starts: falls"):
+    with pytest.warns(StudyWarning, match=r"the task fails at \d\d of 100 drawn starts: falls"):
         build_task({**CARTPOLE, "states": CARTPOLE["states"] | half}, NOTHING)
 
 
@@ -428,7 +428,7 @@ def test_a_reference_that_cannot_be_meant_is_refused(tmp_path: Path) -> None:
         "exp(sin(pi * t)) - exp(sin(pi * (t + 2)))",
     ):
         declared(goal={"position": smooth})
-    with pytest.warns(SlowWarning, match=r"lasts 5000 s, but an episode takes 5 s: is its t in ms\?"):
+    with pytest.warns(StudyWarning, match=r"lasts 5000 s, but an episode takes 5 s: is its t in ms\?"):
         declared(reference=table(tmp_path, "t,position\n0,0\n5000,0.1\n"))
     swingup, file = shipped_task("pendulum_swingup") | {"time_step": 0.01}, tmp_path / "reference.csv"
     states = swingup["states"] | {"angle": swingup["states"]["angle"] | {"unit": "deg"}}
@@ -440,7 +440,7 @@ def test_a_reference_that_cannot_be_meant_is_refused(tmp_path: Path) -> None:
 
     with one_line("row of t = 0.2 s, column angle: -180 is more than half a turn from 171; write 180, or"):
         of_angles(np.append([162, 171, -180, -171], np.full(60, -171)))
-    with pytest.warns(SlowWarning, match=r"angle changes by 160 deg within 2 rows of .*, after t = 2.9 s: "):
+    with pytest.warns(StudyWarning, match=r"angle changes by 160 deg within 2 rows of .*, after t = 2.9 s: "):
         of_angles(np.repeat([180, 20], [31, 30]))
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -10,7 +10,7 @@ from simbias.config import options
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::simbias.core.SlowWarning")
+@pytest.mark.filterwarnings("ignore::simbias.core.StudyWarning")
 def test_a_model_with_other_parameters_steps_as_in_numpy() -> None:
     compared = []
     for name in options()["nominal"]:

@@ -9,7 +9,7 @@ from errors import one_line
 from interpreted import interpreted
 from mechanisms import QUADROTOR, cart_pole, mjcf, quadrotor
 
-from simbias.core import Model, SlowWarning
+from simbias.core import Model, StudyWarning
 from simbias.core.records import Array
 from simbias.learning.bias.none import ZeroBias
 from simbias.policy.dynamic_output_feedback import DynamicOutputFeedback
@@ -177,7 +177,7 @@ def test_sensors_and_sites_are_outputs_and_criteria(file: str) -> None:
     expected = [[1.0, 0.0, 0.7], [np.cos(0.3), 0.1 * np.sin(0.3), 0.7]]
     np.testing.assert_allclose(task.output(x), expected, atol=1e-9)
     law, theta = OutputFeedback(task), np.full(12, 0.5)
-    with pytest.warns(SlowWarning, match=r"Declared.measure \(.*: the engine computes sensors and sites\)"):
+    with pytest.warns(StudyWarning, match=r"Declared.measure \(.*: the engine computes sensors and sites\)"):
         loop = join([simulator(Model(task, law, Mujoco(task, file), ZeroBias(13)))])
     (rollout,) = loop.rollouts(theta[None], task.start_mean[None], np.zeros(1, np.int64))
     np.testing.assert_allclose(rollout.inputs[0], law.act(theta, rollout.states[0], 0.0, np.zeros(0))[0])

@@ -13,7 +13,7 @@ from scipy.linalg import solve_discrete_are
 
 import simbias
 from simbias.config.components import construct
-from simbias.core import FittedBias, SlowWarning, Task
+from simbias.core import FittedBias, StudyWarning, Task
 from simbias.core.errors import ConfigError
 from simbias.core.records import Transitions
 from simbias.learning.bias.none import ConstantBias, NoBias
@@ -83,7 +83,7 @@ def test_a_cart_pole_is_swung_up_and_the_policy_does_it_again(
     monkeypatch.setattr(Shooting, "plan", lambda self, rng: plan)
     few = replace(model, policy=Trajectory(cartpole.task, model.nominal, 11))
     with pytest.warns(
-        SlowWarning, match=r"followed with policy.knots=11 it .*; policy.knots=101 has one per frame"
+        StudyWarning, match=r"followed with policy.knots=11 it .*; policy.knots=101 has one per frame"
     ):
         next(trajectory_candidates([few], 1))
 

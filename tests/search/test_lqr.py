@@ -10,7 +10,7 @@ from models import with_values
 from point_mass import PointMass, WithoutWind
 
 import simbias
-from simbias.core import Model, Nominal, Policy, Quantity, SlowWarning
+from simbias.core import Model, Nominal, Policy, Quantity, StudyWarning
 from simbias.core.errors import ConfigError
 from simbias.core.parameters import values_at
 from simbias.core.records import Array
@@ -95,7 +95,7 @@ def test_the_rest_is_at_a_goal_that_is_not_zero(errors: bool) -> None:
     with (
         nullcontext()
         if errors
-        else pytest.warns(SlowWarning, match="OutputFeedback cannot hold the goal as LQR does")
+        else pytest.warns(StudyWarning, match="OutputFeedback cannot hold the goal as LQR does")
     ):
         policies = lqr_policies(model)
     np.testing.assert_allclose(policies, lqr_policies(point_mass()), rtol=1e-6)
@@ -116,7 +116,7 @@ def test_a_steady_input_is_the_constants_or_the_integrals() -> None:
     end = PlainSimulator([constant], [None]).rollout(theta, task.start_mean).states[-1]
     np.testing.assert_allclose(end, [0.3, 0.0], atol=0.06)
     without, integral = (replace(windy, policy=policy(task)) for policy in (OutputFeedback, IntegralFeedback))
-    with pytest.warns(SlowWarning, match="OutputFeedback has no constant .* so it rests elsewhere"):
+    with pytest.warns(StudyWarning, match="OutputFeedback has no constant .* so it rests elsewhere"):
         policies = lqr_policies(without)
     np.testing.assert_allclose(policies, lqr_policies(point_mass()), rtol=1e-5)
     (theta, *_) = lqr_policies(integral, integral_weight=1.0)
@@ -142,7 +142,7 @@ class Aimed(Elsewhere):
 
 def test_goals_are_placed_among_the_states_and_those_of_outputs_are_told() -> None:
     np.testing.assert_array_equal(resting_goal(Aimed(1.0)), [0.3, 0.0])
-    with pytest.warns(SlowWarning, match=r"regulates to zero, because the goal is for outputs \(position\)"):
+    with pytest.warns(StudyWarning, match=r"regulates to zero, because the goal is for outputs \(position\)"):
         assert resting_goal(Aimed(2.0)) is None
 
 
@@ -208,12 +208,12 @@ def test_what_has_no_lqr_has_no_policies_and_searches_say_so() -> None:
 
     for model in (point_mass(Stuck), point_mass(Burst), point_mass(policy=Other)):
         assert lqr_policies(model) == []
-    with pytest.warns(SlowWarning, match="begin without LQR: Gain imitates none"):
+    with pytest.warns(StudyWarning, match="begin without LQR: Gain imitates none"):
         assert list(lqr_candidates(point_mass(policy=Gain), 3)) == []
     assert list(lqr_candidates(point_mass(policy=Gain), 0)) == []
     to_a_target = point_mass()
     to_a_target.task.targets = (Quantity("place", "m"),)
-    with pytest.warns(SlowWarning, match="begin without LQR: targets need another regulator at each start"):
+    with pytest.warns(StudyWarning, match="begin without LQR: targets need another regulator at each start"):
         assert list(lqr_candidates(to_a_target, 3)) == []
 
 

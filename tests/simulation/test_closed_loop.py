@@ -15,7 +15,7 @@ from numba import get_num_threads, set_num_threads
 from point_mass import Spring
 
 import simbias
-from simbias.core import NOT_A_NUMBER, FittedBias, Nominal, Policy, SlowWarning
+from simbias.core import NOT_A_NUMBER, FittedBias, Nominal, Policy, StudyWarning
 from simbias.core.records import Array, Disturbance, Transitions
 from simbias.lab.safety import Safety, SafetyLimitedPolicy
 from simbias.learning.bias.none import ZeroBias
@@ -170,7 +170,7 @@ def test_a_plain_model_has_a_compiled_bias_beside_it(study: Study) -> None:
     models = [replace(model, bias=each) for each in (bias, bias.draw(rng), bias.draw(rng))]
     _, starts = drawn(study, rng, 20)
     thetas, scenarios = STABLE + 0.1 * rng.normal(size=(20, 5)), rng.integers(0, 3, 20)
-    with pytest.warns(SlowWarning):
+    with pytest.warns(StudyWarning):
         loops = join([simulator(each) for each in models]), PlainSimulator(models, [None] * 3)
     quick, plain = (loop.rollouts(thetas, starts, scenarios) for loop in loops)
     assert_alike(quick, plain, 1e-4, 1e-6, of_inputs=1e-4)
@@ -270,7 +270,7 @@ def test_plain_rollouts_do_not_depend_on_those_beside_them(study: Study) -> None
     noisy = noise(rng, 50, 0.3, 0.01)
     loops = [PlainSimulator([replace(model, nominal=study.nominal.draw(rng))], [noisy]) for _ in range(2)]
     asked = (*drawn(study, rng, 9), rng.integers(0, 2, 9))
-    with pytest.warns(SlowWarning):
+    with pytest.warns(StudyWarning):
         together = join(loops).rollouts(*asked)
     for rollout, theta, start, scenario in zip(together, *asked, strict=True):
         alone = loops[scenario].rollout(theta, start)

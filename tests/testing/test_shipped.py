@@ -61,7 +61,7 @@ def compositions() -> Iterator[tuple[tuple[str, ...], set[str], Composition]]:
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::simbias.core.SlowWarning")
+@pytest.mark.filterwarnings("ignore::simbias.core.StudyWarning")
 def test_every_shipped_component_keeps_its_contract(
     uncompiled: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:

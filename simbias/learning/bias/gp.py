@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 
-from simbias.core import Bias, FittedBias, SlowWarning, Task
+from simbias.core import Bias, FittedBias, StudyWarning, Task
 from simbias.core.ranges import CountOrZero, NonNegative, Scale
 from simbias.core.records import Transitions
 from simbias.learning.bias.inducing import Inducing
@@ -97,4 +97,4 @@ class GaussianProcess(Bias):
         if seconds > PATIENCE:
             better = "sparse_gp_learned" if self._learning else "sparse_gp"
             message = f"exact GP, {N} samples: a search takes about {seconds / 60:.0f} min; use bias={better}"
-            warnings.warn(message, SlowWarning, stacklevel=3)
+            warnings.warn(message, StudyWarning, stacklevel=3)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from simbias.core import Criterion, HardwareError, Quantity, SlowWarning, wrapped
+from simbias.core import Criterion, HardwareError, Quantity, StudyWarning, wrapped
 from simbias.core.files import sought
 from simbias.core.messages import quote
 from simbias.core.quantities import TURNS
@@ -109,7 +109,7 @@ def _rows(file: str, seconds: float) -> tuple[tuple[str, ...], Array, Array]:
         warnings.warn(
             f"reference {quote(file)} lasts {times[-1]:g} s, but an episode takes {seconds:g} s: "
             "is its t in ms?",
-            SlowWarning,
+            StudyWarning,
             stacklevel=4,
         )
     return header[1:], times, values
@@ -144,7 +144,7 @@ def warn_of_degrees(reference: Reference, goals: Sequence[Quantity], seconds: fl
         turns_on = abs(each[0]) <= goal.turn and ((steps > 0).all() or (steps < 0).all())
         if goal.wraps and goal.unit == "rad" and value > MANY_TURNS * goal.turn and not turns_on:
             words = f"goal.{goal.name} is {value:.4g} rad, more than {MANY_TURNS} turns: is it in degrees?"
-            warnings.warn(words, SlowWarning, stacklevel=4)
+            warnings.warn(words, StudyWarning, stacklevel=4)
 
 
 def warn_of_turns(
@@ -165,7 +165,7 @@ def warn_of_turns(
         angle = turning[key]
         words = f"{key} uses {angle}, which wraps, with its turns, so that a whole turn is not zero; "
         words += f"sin({angle}), cos({angle}) and the goal's error leave them out"
-        warnings.warn(words, SlowWarning, stacklevel=4)
+        warnings.warn(words, StudyWarning, stacklevel=4)
 
 
 def _outside(text: str) -> set[str]:
@@ -206,7 +206,7 @@ def check_rows(reference: Reference, goals: Sequence[Quantity], file: str) -> No
     for row, column, change in _jumps(reference, goals, rows)[:1]:
         words = f"within {BRIEF} rows of {quote(file)}, after t = {rows[row]:.4g} s: is it a step?"
         words = f"goal.{goals[column].name} changes by {change} {words} A ramp can be followed"
-        warnings.warn(words, SlowWarning, stacklevel=4)
+        warnings.warn(words, StudyWarning, stacklevel=4)
 
 
 def _jumps(reference: Reference, goals: Sequence[Quantity], times: Array) -> list[tuple[int, int, str]]:

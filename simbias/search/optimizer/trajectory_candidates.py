@@ -9,7 +9,7 @@ from itertools import product
 
 import numpy as np
 
-from simbias.core import GoalWeights, Model, Policy, SlowWarning, Task
+from simbias.core import GoalWeights, Model, Policy, StudyWarning, Task
 from simbias.core.errors import ConfigError
 from simbias.core.records import Array
 from simbias.policy.trajectory import Trajectory
@@ -109,4 +109,4 @@ def _warn_of_few_knots(plan: Plan, followed: Plan | None, knots: int, frames: in
             f"a plan costs {plan.cost:.3g} in simulation, but followed with policy.knots={knots} it {then}; "
             f"policy.knots={frames + 1} has one per frame"
         )
-        warnings.warn(message, SlowWarning, stacklevel=3)
+        warnings.warn(message, StudyWarning, stacklevel=3)
