@@ -141,7 +141,8 @@ class Columns(Signals):
 class Messages(Signals):
     """Signals of a ROS bag or MCAP file: `/topic.field`, `/topic.field[0]` in a list, or [name] by `name`.
 
-    Times in s are those of the messages' headers or, without headers, of their arrival.
+    Messages that lack the name are skipped. Times in s are those of the messages' headers or, without
+    headers, of their arrival.
     """
 
     def __init__(self, path: Path, names: Collection[str]) -> None:
@@ -209,6 +210,10 @@ class Messages(Signals):
         if match["topic"] not in self._topics:
             raise self.missing([match["topic"]], self._known)
         times, places, messages = self._topics[match["topic"]]
+        item = match["item"] or "0"
+        named = [] if item.isdecimal() else [i for i, each in enumerate(messages) if item in _names(each)]
+        if named:  # messages of other joints may share the topic
+            times, places, messages = times[named], places[named], [messages[i] for i in named]
         try:
             values = np.array([_field(message, match) for message in messages], dtype=np.float64)
         except (AttributeError, ValueError, IndexError, TypeError) as error:
@@ -255,6 +260,11 @@ def _stamp(message: Any) -> float | None:
     return float(stamp.sec) + stamp.nanosec * NANOSECOND
 
 
+def _names(message: Any) -> list[str]:
+    """The names in a message, such as a joint's."""
+    return list(getattr(message, "name", ()))
+
+
 def _field(message: Any, match: re.Match[str]) -> float:
     """The number in a message; an item of a list by its index, or by its name in the message's `name`."""
     value = message
@@ -263,7 +273,7 @@ def _field(message: Any, match: re.Match[str]) -> float:
     item = match["item"]
     if item is None:
         return float(value)
-    return float(value[int(item) if item.isdecimal() else list(message.name).index(item)])
+    return float(value[int(item) if item.isdecimal() else _names(message).index(item)])
 
 
 def split_name(text: str) -> tuple[str, str]:

@@ -413,9 +413,11 @@ def bag(
     ahead: float | None = 0.0,
     late: int = 500_000,
     step: float = 0.0,
+    gripper: bool = False,
 ) -> Path:
     """Joint states and efforts as ROS 2 has them, efforts on a topic of their own at half the rate.
 
+    A gripper may share the topic of joint states.
     The clock of these is some seconds ahead, or they have no time. Halfway, all clocks are set by a step.
     """
     rosbag2, typesys = (pytest.importorskip(f"rosbags.{name}") for name in ("rosbag2", "typesys"))
@@ -435,8 +437,10 @@ def bag(
             joints = state(head, names, x[[1, 0]].copy(), x[[3, 2]].copy(), none)
             of_effort = 0 if ahead is None else at + round(ahead * 10**9)
             other = header(stamp=stamp(sec=of_effort // 10**9, nanosec=of_effort % 10**9), frame_id="")
-            sent = [(joint_states, joints), (efforts, state(other, names, none, none, u))]
-            for topic, message in sent[: 2 - t % 2]:
+            sent = [(joint_states, joints), (efforts, state(other, names, none, none, u))][: 2 - t % 2]
+            if gripper:
+                sent.append((joint_states, state(head, ["gripper"], np.ones(1), none, none)))
+            for topic, message in sent:
                 writer.write(topic, arrival, store.serialize_cdr(message, state.__msgtype__))
     return folder
 
@@ -468,6 +472,10 @@ def test_ros_bags_and_mcap(study: Study, rollout: Rollout, tmp_path: Path) -> No
         ):
             with pytest.raises(HardwareError, match=words):
                 Reader(study.task, TOPICS | {"pos1": wrong}).read(path)
+    named = {key: topic.replace("s.position[0]", "s.position[elbow]") for key, topic in TOPICS.items()}
+    named["vel2"] = "/joint_states.velocity[elbow]"
+    (piece,) = Reader(study.task, named).read(bag(rollout, tmp_path / "g", "MCAP", gripper=True)).pieces
+    np.testing.assert_allclose(piece.states, rollout.states[:200], atol=1e-5)
 
 
 @pytest.mark.slow
