@@ -113,17 +113,18 @@ def _is(plain: Any, default: Any) -> bool:
 
 
 def _plain(value: Any, key: str) -> Any:
-    """A value as plain containers; for a dataclass, its non-default fields.
+    """A value as plain containers; for a dataclass, its non-default fields that are compared.
 
     A ConfigError names the key of a value of another type, whose text may differ between processes.
     """
     if is_dataclass(value) and not isinstance(value, type):
+        compared = [each for each in fields(value) if each.compare]
         defaults = {
             each.name: each.default if each.default_factory is MISSING else each.default_factory()
-            for each in fields(value)
+            for each in compared
             if each.default is not MISSING or each.default_factory is not MISSING
         }
-        return _deviations(vars(value), defaults, key)
+        return _deviations({each.name: getattr(value, each.name) for each in compared}, defaults, key)
     if isinstance(value, Mapping):
         return {str(name): _plain(each, key) for name, each in value.items()}
     if isinstance(value, list | tuple):

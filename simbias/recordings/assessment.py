@@ -12,12 +12,12 @@ from threadpoolctl import threadpool_limits
 from simbias.core import Nominal, Task
 from simbias.core.errors import ConfigError
 from simbias.core.messages import words
-from simbias.core.parameters import Estimate
-from simbias.core.records import Rollout
+from simbias.core.records import Array, Rollout
 from simbias.learning.identification.directions import Direction, undetermined
 from simbias.learning.identification.identified import Identified
 from simbias.learning.identification.posterior import Posterior
 from simbias.learning.identification.refinement import moved_by_shorter_steps
+from simbias.recordings.copies import Digest, digests
 from simbias.recordings.findings import Finding, findings
 from simbias.recordings.horizons import HorizonErrors, overall, predictions
 from simbias.recordings.mistakes import Mistake, mistakes
@@ -41,10 +41,12 @@ class Assessment:
     held_out: Part | None
     models: Sequence[Identified]  # for each of `judged`, a model that was not fitted to it
     findings: Sequence[Finding]
+    own_findings: Mapping[str, Sequence[Finding]]  # of parameters specific to each recording, by its name
     predictions: Sequence[HorizonErrors]
     mistakes: Sequence[Mistake]  # of signs and columns
     by_window: Mapping[float, float]  # window in s -> deviations relative to those of `identified`
     steps_checked: bool  # whether the effect of shorter integration steps on parameters is known
+    learned: Sequence[Digest]  # of all recordings that `identified` has learned, also earlier
 
     @property
     def task(self) -> Task:
@@ -101,15 +103,6 @@ class Assessment:
         return float(np.mean(self.task.violated(np.concatenate(states)) >= 0))
 
     @property
-    def own_estimates(self) -> dict[str, list[Estimate]]:
-        """Estimates of recording-specific parameters, such as zeros or a payload, by recording."""
-        fits = map(self.identified.of_recording, range(len(self.recordings)))
-        return {
-            name: [e for each, e in zip(fit.parameters, fit.estimates, strict=True) if each.of_recording]
-            for name, fit in zip(self.recordings, fits, strict=True)
-        }
-
-    @property
     def unexplained(self) -> tuple[float, float] | None:
         """The largest ratio of errors to those explained by noise and model uncertainty, with its horizon.
 
@@ -124,7 +117,12 @@ class Assessment:
         lacks = "the model lacks something" if self.unexplained is not None else ""
         doubts = doubt, lacks if self.better else "the model is no better than the nominal one"
         more = tuple(filter(None, doubts))
-        return replace(self, findings=[replace(each, doubts=(*each.doubts, *more)) for each in self.findings])
+
+        def also(found: Sequence[Finding]) -> list[Finding]:
+            return [replace(each, lasting=(*each.lasting, *more)) for each in found]
+
+        own = {name: also(each) for name, each in self.own_findings.items()}
+        return replace(self, findings=also(self.findings), own_findings=own)
 
     @property
     def undetermined(self) -> list[Direction]:
@@ -165,7 +163,7 @@ def assess(
 
     Recordings are given by name, each as its pieces. Without held-out ones, each recording (or each third of
     a single one) is predicted by a model of all others. A doubt about the recordings applies to each
-    parameter.
+    parameter; doubts of an earlier posterior, with which the study begins, stay.
 
     Raises
     ------
@@ -173,7 +171,7 @@ def assess(
         If there are no recordings, or they are too short.
     """
     if not recordings:
-        raise ConfigError("identify", "needs recordings that are not held out: files or folders")
+        raise ConfigError("identify", "needs recordings neither held out nor learned: files or folders")
     posterior = study.identification
     assert isinstance(posterior, Posterior)
     all_parts = parts(recordings)
@@ -181,9 +179,9 @@ def assess(
     judged = [kept] if kept else all_parts
     _check_length(posterior, [*all_parts, kept] if kept else all_parts)
 
-    def fit(part: Part, words: str, window: float = 1.0) -> Identified:
+    def fit(part: Part, words: str, window: float = 1.0, begin: Posterior = posterior) -> Identified:
         progress(words)
-        fitting = posterior.with_window(window * posterior.window)
+        fitting = begin.with_window(window * posterior.window)
         fitted = fitting.fit(study.nominal, part.rollouts, part.recordings)
         assert isinstance(fitted, Identified)
         return fitted
@@ -198,6 +196,16 @@ def assess(
         fit(everything, f"with windows of {factor * posterior.window:g} s", factor)
         for factor in OTHER_WINDOWS
     ]
+    apart, known = list[Identified](), posterior.known
+    if known:
+        earlier = posterior.fit(study.nominal, [])
+        assert isinstance(earlier, Identified)
+        declared = posterior.with_known(None)
+        apart = [earlier, fit(everything, "without the earlier posterior", begin=declared)]
+    found = findings(identified, alone, by_window, 0.0 if shorter is None else shorter.max(axis=0), apart)
+    if known and known.doubts:
+        stay = zip(found, known.doubts, strict=True)
+        found = [replace(each, earlier=tuple(doubts)) for each, doubts in stay]
     rest = [others(all_parts, i) for i in range(len(all_parts))]
     if kept:
         models = [identified]
@@ -215,7 +223,8 @@ def assess(
         all_parts,
         kept,
         models,
-        findings(identified, alone, by_window, 0.0 if shorter is None else shorter),
+        found,
+        own_findings(list(recordings), identified, by_window, shorter),
         predictions(study.task, study.nominal, models, [part.rollouts for part in judged], learned, own),
         mistakes(study.task, [study.nominal, identified], recordings),
         {
@@ -223,8 +232,28 @@ def assess(
             for factor, other in zip(OTHER_WINDOWS, by_window, strict=True)
         },
         shorter is not None,
+        [
+            *map(Digest.of, (known and known.learned) or ()),
+            *(each for pieces in recordings.values() for each in digests(pieces, study.task.time_step)),
+        ],
     )
     return assessment.doubted(doubt)
+
+
+def own_findings(
+    recordings: Sequence[str],
+    identified: Identified,
+    by_window: Sequence[Identified],
+    shorter: Array | None,
+) -> dict[str, list[Finding]]:
+    """Findings about parameters specific to a recording, such as zeros or a payload, by recording."""
+    found = {}
+    for i, name in enumerate(recordings):
+        shifts = 0.0 if shorter is None else shorter[i % len(shorter)]
+        fits = [each.of_recording(i) for each in (identified, *by_window)]
+        of_all = findings(fits[0], [], fits[1:], shifts)
+        found[name] = [each for each in of_all if each.prior.of_recording]
+    return found
 
 
 def _with_own(

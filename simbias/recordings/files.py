@@ -119,9 +119,14 @@ def parameters(assessment: Assessment) -> pd.DataFrame:
 def of_recordings(assessment: Assessment) -> pd.DataFrame:
     """A row for each recording and recording-specific parameter, such as a payload or a zero."""
     return pd.DataFrame(
-        {"recording": name, **estimate._asdict()}
-        for name, estimates in assessment.own_estimates.items()
-        for estimate in estimates
+        {
+            "recording": name,
+            **each.estimate._asdict(),
+            "trusted": each.trusted,
+            "doubts": "; ".join(each.doubts),
+        }
+        for name, found in assessment.own_findings.items()
+        for each in found
     )
 
 
@@ -192,6 +197,9 @@ def option_lines(assessment: Assessment, identification: dict[str, Any]) -> Iter
     yield f"  parameters: {json.dumps(identified.known.parameters)}"
     yield f"  declared: {json.dumps(identified.known.declared)}"
     yield f"  model: {json.dumps(model_digest(assessment.study))}"
+    doubts = [list(dict.fromkeys((*each.earlier, *each.lasting))) for each in assessment.findings]
+    yield f"  doubts: {json.dumps(doubts)}"
+    yield f"  learned: {json.dumps([*map(str, assessment.learned)])}"
     yield f"  mode: {json.dumps(identified.known.mode)}"
     yield "  spread:"
     for row in identified.known.spread:

@@ -24,14 +24,26 @@ TOO_LONG = 1.0  # standard deviations by which shorter integration steps move es
 
 @dataclass(frozen=True)
 class Finding:
-    """An identified parameter, its shrinkage by the data, and doubts about its value."""
+    """An identified parameter, its shrinkage by the data, and doubts about its value.
+
+    Further recordings may remove passing doubts, which are about the posterior. Lasting ones, about the
+    recordings and the model, stay where identification begins with this posterior.
+    """
 
     prior: Parameter
     estimate: Estimate
     shrinkage: float  # of the standard deviation, in the prior's coordinate: 0 nothing learned, 1 exact
     partners: Mapping[str, float]  # parameters correlated with it by more than 0.9
     by_part: tuple[Estimate, ...]  # identified from each part alone
-    doubts: tuple[str, ...]
+    passing: tuple[str, ...]
+    lasting: tuple[str, ...]
+    earlier: tuple[str, ...] = ()  # lasting doubts of the runs that led to the prior
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """All doubts in words."""
+        earlier = ", ".join(each for each in self.earlier if each not in self.lasting)
+        return *self.passing, *self.lasting, *([f"doubted earlier: {earlier}"] if earlier else [])
 
     @property
     def trusted(self) -> bool:
@@ -50,18 +62,23 @@ def findings(
     by_part: Sequence[Identified],
     by_window: Sequence[Identified],
     shorter: Array | float = 0.0,
+    apart: Sequence[Identified] = (),
 ) -> list[Finding]:
     """A finding for each parameter, with its doubts.
 
-    Shorter integration steps would move them by these numbers (p,) of standard deviations.
+    Shorter integration steps would move them by these numbers (p,) of standard deviations. `apart` are an
+    earlier posterior, with which the fit begins, and the one that the recordings give without it.
     """
     deviations = np.sqrt(np.diag(fitted.covariance))
     R = fitted.covariance / np.outer(deviations, deviations)
     names = [parameter.name for parameter in fitted.parameters]
-    disagree = [
-        _distance(by_part, i) > DISAGREEMENT and not parameter.of_recording
-        for i, parameter in enumerate(fitted.parameters)
-    ]
+    disagree, differ = (
+        [
+            _distance(fits, i) > DISAGREEMENT and not parameter.of_recording
+            for i, parameter in enumerate(fitted.parameters)
+        ]
+        for fits in (by_part, apart)
+    )
     found, shifts = [], np.broadcast_to(shorter, len(names))
     for i, (parameter, estimate) in enumerate(zip(fitted.parameters, fitted.estimates, strict=True)):
         shrinkage = float(np.clip(1.0 - deviations[i], 0.0, 1.0))
@@ -69,24 +86,24 @@ def findings(
             names[j]: float(R[i, j]) for j in range(len(names)) if j != i and abs(R[i, j]) > CORRELATED
         }
         elsewhere = parameter.of_recording and not shrinkage  # only the prior is known
-        shaken = [
-            name for name, r, each in zip(names, R[i], disagree, strict=True) if each and abs(r) > COMPENSATES
-        ]
         # The lower end of a half-normal is the declared value.
         tail = fitted.mode[i] if parameter.prior == "half_normal" else abs(fitted.mode[i])
-        doubts = [
+        passing = [
             "specific to each recording" if elsewhere else _of_shrinkage(shrinkage),
             "wider than its prior" if deviations[i] > BEYOND_PRIOR else "",
             f"only together with {', '.join(partners)}" if partners else "",
             "at its bound" if at_bound(parameter, estimate.value) else "",
             "far from its declared value" if tail > TAIL else "",
-            "recordings disagree" if disagree[i] else "",
-            f"recordings disagree on {', '.join(shaken)}" if shaken and not disagree[i] else "",
+        ]
+        lasting = [
+            _of_contradiction("recordings disagree", disagree, i, R[i], names),
             "depends on the window" if _moved(fitted, by_window, i) > DISAGREEMENT else "",
             STEP_DOUBT if shifts[i] > TOO_LONG else "",
+            _of_contradiction("the earlier posterior disagrees", differ, i, R[i], names),
         ]
         alone = tuple(each.estimates[i] for each in by_part)
-        found.append(Finding(parameter, estimate, shrinkage, partners, alone, tuple(filter(None, doubts))))
+        doubts = (tuple(filter(None, each)) for each in (passing, lasting))
+        found.append(Finding(parameter, estimate, shrinkage, partners, alone, *doubts))
     return found
 
 
@@ -102,6 +119,15 @@ def _of_shrinkage(shrinkage: float) -> str:
     if shrinkage < UNKNOWN:
         return "not determined by the data"
     return "partly determined" if shrinkage < DETERMINED else ""
+
+
+def _of_contradiction(
+    words: str, disagree: Sequence[bool], i: int, correlations: Array, names: Sequence[str]
+) -> str:
+    """The doubt about a parameter if estimates of it disagree, or of one that compensates for it; else ""."""
+    pairs = zip(names, correlations, disagree, strict=True)
+    shaken = [name for name, r, each in pairs if each and abs(r) > COMPENSATES]
+    return words if disagree[i] else f"{words} on {', '.join(shaken)}" if shaken else ""
 
 
 def _distance(fits: Sequence[Identified], i: int) -> float:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 from simbias.core import HardwareError, Task
-from simbias.core.digest import short_digest
 from simbias.core.errors import ConfigError, reason
 from simbias.core.messages import counted, words
 from simbias.core.records import Array, Rollout
@@ -17,11 +16,16 @@ from simbias.lab.recorded import CSV, Recorded
 from simbias.lab.recording import Reader, Recording
 from simbias.lab.signals import BAGS
 from simbias.learning.identification.posterior import Posterior
+from simbias.recordings.copies import Digest, copied, digests, new
 from simbias.recordings.parts import Part
 from simbias.trial.study import Study
 
 ENDS = (*CSV, *BAGS)
 KINDS = f"{', '.join(ENDS)}, or a ROS 2 bag"
+HELD_OUT = "held out, so not fitted"
+LEARNED = "learned by the earlier posterior, so not counted again"
+SAME = "the same as in another file, so not counted again"
+UNKNOWN = "the earlier posterior does not say which recordings it has learned, nor which doubts it has"
 
 
 class Recordings(NamedTuple):
@@ -45,10 +49,27 @@ def read_apart(
     held_out: Sequence[Path | str],
     columns: Mapping[str, str] | None = None,
     windows: float = 0.0,
+    again: bool = False,
 ) -> tuple[Recordings, Recordings]:
-    """Recordings for fitting and held-out recordings, without overlap; errors as for `read`."""
-    kept = read(study, held_out, columns)
-    return read(study, places, columns, windows, kept.rollouts.values()), kept
+    """Recordings for fitting and held-out recordings, which do not overlap.
+
+    What the study's earlier posterior has learned is left out, unless it may count `again`. Errors are as for
+    `read`, also if nothing is left of what is held out.
+    """
+    posterior = study.identification
+    known = posterior.known if isinstance(posterior, Posterior) and not again else None
+    try:
+        learned = [Digest.of(each) for each in (known and known.learned) or ()]
+    except ValueError as error:
+        raise ConfigError("identification.known.learned", words(error)) from error
+    kept = read(study, held_out, columns, already={LEARNED: learned})
+    if held_out and not kept.rollouts:
+        raise ConfigError("--held-out", "the earlier posterior has learned all of it")
+    kept_blocks = digests(kept.pieces.rollouts, study.task.time_step)
+    fitted = read(study, places, columns, windows, {HELD_OUT: kept_blocks, LEARNED: learned})
+    if known and (known.doubts is None or known.learned is None):
+        fitted = fitted._replace(notes=(UNKNOWN, *fitted.notes))
+    return fitted, kept
 
 
 def read(
@@ -56,10 +77,11 @@ def read(
     places: Sequence[Path | str],
     columns: Mapping[str, str] | None = None,
     windows: float = 0.0,
-    held_out: Collection[Sequence[Rollout]] = (),
+    already: Mapping[str, Collection[Digest]] | None = None,
 ) -> Recordings:
-    """Read recordings from files, and from all files in folders, except those with held-out samples.
+    """Read recordings from files, and from all files in folders, except for copies.
 
+    Copies of each other count once; those of blocks in `already`, by a note on them, do not count.
     Pieces between gaps are left out if shorter than `windows` windows of the study's posterior. The default
     columns are those of the study's `hardware=recorded`, or else the task's own names.
 
@@ -69,35 +91,46 @@ def read(
         If there is no such file, or one cannot be read or is too short; the message is one line.
     """
     reader, needed = _reader(study, columns), _needed(study, windows)
-    files, kept = _all_files(places), {_samples(pieces) for pieces in held_out}
+    files, time_step = _all_files(places), study.task.time_step
     rollouts, times = dict[str, tuple[Rollout, ...]](), dict[str, tuple[Array, ...]]()
     notes, extents = defaultdict[str, list[str]](list), list[str]()  # note -> its files
-    seen, doubts = set[str](), dict[str, None]()
+    seen, doubts = list[Digest](), dict[str, None]()
     for file in files:
         name = _name(file, files)
         try:
             recording = reader.read(file, whole_lines=True)
         except HardwareError as error:
             raise ConfigError("", words(error)) from error
-        if (samples := _samples(recording.pieces)) in kept:
-            notes["held out, so not fitted"].append(name)
+        left = _numbered(recording)
+        for note, known in {**(already or {}), SAME: seen}.items():
+            before, left = left, [part for each in left for part in _new(*each, known, time_step)]
+            if seconds := time_step * (_frames(before) - _frames(left)):
+                notes[f"{seconds:.3g} s are {note}" if left else note].append(name)
+        if not left:
             continue
         doubts |= dict.fromkeys(recording.doubts)
         for note in recording.notes:
             notes[note].append(name)
-        if samples in seen:
-            notes["has the same samples as another file, so it does not count again"].append(name)
-            continue
-        seen.add(samples)
-        pieces = _pieces(recording, needed)
+        seen += digests([piece for piece, _ in left], time_step)
+        pieces = [each for each in left if not needed or needed.windows([each[0]])]
         if needed and not pieces:
             raise ConfigError(str(file), f"is shorter than a window of {needed.window:g} s")
-        if needed and (left := len(recording.pieces) - len(pieces)):
-            notes[f"{counted(left, 'piece')} shorter than {needed.window:g} s left out"].append(name)
+        if needed and (short := len(left) - len(pieces)):
+            notes[f"{counted(short, 'piece')} shorter than {needed.window:g} s left out"].append(name)
         rollouts[name], times[name] = zip(*pieces, strict=True)
         extents.append(f"{name} {_extent(study.task, rollouts[name], times[name])}")
     texts = tuple(f"{', '.join(names)}: {note}" for note, names in notes.items())
     return Recordings(rollouts, times, texts, ", ".join(extents), "; ".join(doubts))
+
+
+def learned_files(study: Study, learned: Collection[Digest]) -> list[str]:
+    """The names of those recordings of `hardware=recorded` of which blocks have been learned."""
+    if not isinstance(hardware := study.hardware, Recorded):
+        return []
+    recordings = {file.name: hardware.reader.read(file).pieces for file in hardware.source_files}
+    return [
+        name for name, pieces in recordings.items() if any(copied(each, learned).any() for each in pieces)
+    ]
 
 
 def _reader(study: Study, columns: Mapping[str, str] | None) -> Reader:
@@ -118,11 +151,27 @@ def _needed(study: Study, windows: float) -> Posterior | None:
     return posterior.with_window(windows * posterior.window)
 
 
-def _pieces(recording: Recording, needed: Posterior | None) -> list[tuple[Rollout, Array]]:
-    """The pieces between gaps that are long enough, and their sample times."""
+def _numbered(recording: Recording) -> list[tuple[Rollout, Array]]:
+    """The pieces between gaps, and their sample times; all but the first continue."""
     pairs = zip(recording.pieces, recording.times, strict=True)
-    numbered = ((replace(piece, continues=i > 0), when) for i, (piece, when) in enumerate(pairs))
-    return [(piece, when) for piece, when in numbered if not needed or needed.windows([piece])]
+    return [(replace(piece, continues=i > 0), times) for i, (piece, times) in enumerate(pairs)]
+
+
+def _new(
+    piece: Rollout, times: Array, known: Collection[Digest], time_step: float
+) -> Iterator[tuple[Rollout, Array]]:
+    """The parts of a piece, and their sample times, that are no copies of blocks with known digests."""
+    for begin, end in new(piece, known, time_step):
+        first, last = time_step * begin, time_step * end
+        whole = end - begin == piece.frames
+        yield (
+            piece if whole else piece.part(begin, end),
+            times if whole else times[(times >= first) & (times <= last)] - first,
+        )
+
+
+def _frames(pieces: Sequence[tuple[Rollout, Array]]) -> int:
+    return sum(piece.frames for piece, _ in pieces)
 
 
 def _extent(task: Task, pieces: Sequence[Rollout], times: Sequence[Array]) -> str:
@@ -130,11 +179,6 @@ def _extent(task: Task, pieces: Sequence[Rollout], times: Sequence[Array]) -> st
     seconds = task.time_step * sum(piece.frames for piece in pieces)
     intervals = sum(len(when) - 1 for when in times)
     return f"{seconds:.3g} s at {intervals / seconds:.3g} Hz"
-
-
-def _samples(pieces: Sequence[Rollout]) -> str:
-    """A digest of all samples."""
-    return short_digest(b"".join(each.tobytes() for piece in pieces for each in (piece.states, piece.inputs)))
 
 
 def columns(text: str) -> dict[str, str]:

@@ -106,8 +106,11 @@ def parameter_rows(assessment: Assessment) -> Iterator[Sequence[str]]:
 
 def own_lines(assessment: Assessment) -> Iterator[str]:
     """A line for each recording with specific parameters, such as zeros or a payload."""
-    for name, estimates in assessment.own_estimates.items():
-        texts = [f"{e.name} {e.value:.4g} ({e.low:.4g} .. {e.high:.4g}) {e.unit}" for e in estimates]
+    for name, found in assessment.own_findings.items():
+        texts = []
+        for e, doubts in ((each.estimate, each.doubts) for each in found):
+            doubted = f" (doubted: {'; '.join(doubts)})" if doubts else ""
+            texts.append(f"{e.name} {e.value:.4g} ({e.low:.4g} .. {e.high:.4g}) {e.unit}{doubted}")
         if texts:
             yield f"{name}: {', '.join(texts)}"
 

@@ -91,7 +91,7 @@ def recovery(request: Request) -> bool:
     cannot be read, all are held out, or no inputs keep the limits.
     """
     console = standard_output()
-    study, recordings, _ = request.opened(console)
+    study, recordings, _ = request.opened(console, again=True)
     if request.recordings and not recordings.rollouts:
         raise ConfigError("--held-out", "holds out every recording")
     with warnings_in_one_line(), progress(console) as tell_of:

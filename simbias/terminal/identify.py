@@ -21,7 +21,7 @@ from simbias.recordings import words
 from simbias.recordings.assessment import LONGEST, Assessment, assess, prepared
 from simbias.recordings.excitation import Designer, Excitation
 from simbias.recordings.files import GROUP, OPTION, check_replaces_nothing, write
-from simbias.recordings.reading import Recordings, read_apart
+from simbias.recordings.reading import Recordings, learned_files, read_apart
 from simbias.terminal.lines import progress, say, standard_output
 from simbias.terminal.notices import preparing, warnings_in_one_line
 from simbias.trial.study import Study
@@ -55,18 +55,20 @@ class Request(NamedTuple):
         return self.configs / GROUP / f"{name}.yaml"
 
     def opened(
-        self, console: Console, windows: float = 1.0, attach: bool = False
+        self, console: Console, windows: float = 1.0, attach: bool = False, again: bool = False
     ) -> tuple[Study, Recordings, Recordings]:
         """The study, its recordings and the held-out ones; notes on them are printed.
 
-        From recordings not held out, pieces with fewer than `windows` windows are left out. The study has the
-        components needed for recordings or, with an attached trial, all components.
+        From recordings not held out, pieces with fewer than `windows` windows are left out, and so is what
+        the earlier posterior has learned, unless it may count `again`. The study has the components needed
+        for recordings or, with an attached trial, all components.
         """
         with preparing():
             left_out = () if attach else NOT_OF_RECORDINGS
             composition = compose(self._identifying, self.config_dir, self.allow, left_out)
             study = prepared(build(composition, left_out))
-        recordings, held_out = read_apart(study, self.recordings, self.held_out, self.columns, windows)
+        places = self.recordings, self.held_out
+        recordings, held_out = read_apart(study, *places, self.columns, windows, again)
         for note in (*recordings.notes, *held_out.notes):
             say(console, note, "yellow")
         if extent := ", ".join(filter(None, (recordings.extent, held_out.extent))):
@@ -133,6 +135,8 @@ def identify(request: Request, attach: bool = False) -> bool:
         anyway = "; the line above starts one anyway" if assessment.better else ""
         say(console, f"No trial is started, as no parameter is trusted{anyway}.")
         return False
+    for name in learned_files(study, assessment.learned) if attach else ():
+        say(console, f"The model has learned {name}, which counts again in the trial.", "yellow")
     return assessment.better
 
 

@@ -117,6 +117,9 @@ def test_what_changes_no_result_changes_no_identity() -> None:
     options += ["method=model_selection", "optimizer=hybrid_from_candidates"]
     assert compose(["preset=robust"]).hash == compose(["bias=window_gp", *options]).hash
     assert compose(["preset=robust", "bias=none"]).hash == compose(["bias=none", *options]).hash
+    known = "identification=posterior", "identification.known={parameters: [a], mode: [0], spread: [[1]]%s}"
+    told = [known[0], known[1] % ", doubts: [[b]], learned: [c]"]
+    assert compose(told).hash == compose([known[0], known[1] % ""]).hash != base
     for seed in ("01", "1e0", "'1'", "1.0"):
         assert compose([f"seed={seed}"]) == compose(["seed=1"])
     for one, other in (("seconds=10", "seconds=10.0"), ("experiments=5", "experiments=5.0")):

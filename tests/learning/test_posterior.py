@@ -62,8 +62,8 @@ def test_it_predicts_what_it_has_not_seen(study: Study, fitted: tuple[Identified
 def test_what_shorter_steps_move_is_told() -> None:
     """Of a robot with dry friction, by steps of 10 ms; less by steps of 2 ms, a tenth of a frame.
 
-    Nothing is known of models that have the same frames whatever the task's are, or whole steps of 5 ms;
-    nor where an earlier posterior is known.
+    Nothing is known of models that have the same frames whatever the task's are, or whole steps of 5 ms. A
+    known posterior that is the declared prior changes nothing; a narrow one lets less move.
     """
 
     def of_whole_steps(study: Study, task: Task) -> Nominal:
@@ -80,8 +80,15 @@ def test_what_shorter_steps_move_is_told() -> None:
         posterior: Any = study.identification
         given = posterior, posterior.fit(study.nominal, recording), recording, ()
         moved[step] = moved_by_shorter_steps(study.task, study.nominal, study.nominal_of, *given)
-        known = posterior.with_known(given[1].known), *given[1:]
-        assert moved_by_shorter_steps(study.task, study.nominal, study.nominal_of, *known) is None
+        prior = Identified.of_prior(study.nominal)
+        same, narrow = (
+            moved_by_shorter_steps(
+                study.task, study.nominal, study.nominal_of, posterior.with_known(known), *given[1:]
+            )
+            for known in (prior.known, given[1].narrowed(0.1).known)
+        )
+        assert same == pytest.approx(moved[step], rel=1e-6, abs=1e-9)
+        assert narrow.max() < 0.2 * moved[step].max()
         for other in (partial(lambda made, _: made, study.nominal), partial(of_whole_steps, study)):
             assert moved_by_shorter_steps(study.task, study.nominal, other, *given) is None
     assert moved[0.01].max() > 1.5 > moved[0.002].max() > 0.1, moved

@@ -306,5 +306,5 @@ def test_the_commands(
     assert main(["identify", "--recover", "new/torques.csv", *arguments]) == 0
     assert re.search(r"^friction_2 +N m .* yes$", capsys.readouterr().out, re.MULTILINE)
     assert main(["identify", *arguments]) == 2
-    said = "simbias: identify: needs recordings that are not held out: files or folders\n"
+    said = "simbias: identify: needs recordings neither held out nor learned: files or folders\n"
     assert capsys.readouterr().err == said

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 import yaml
 from mechanisms import cart_pole, mjcf
-from pendulum import QUICK, experiment, pendulum, truth
+from pendulum import NOISE, QUICK, experiment, pendulum, truth
 from rich.console import Console
 
 import simbias
@@ -22,7 +22,8 @@ from simbias.learning.identification.identified import Identified, Known
 from simbias.learning.identification.posterior import Posterior
 from simbias.learning.identification.rig import Rig, Sensor
 from simbias.recordings import horizons, plots
-from simbias.recordings.assessment import Assessment, assess, prepared
+from simbias.recordings.assessment import Assessment, assess, own_findings, prepared
+from simbias.recordings.copies import digests
 from simbias.recordings.excitation import Excitation
 from simbias.recordings.files import (
     check_replaces_nothing,
@@ -39,12 +40,13 @@ from simbias.recordings.horizons import CHANGE, HorizonErrors, inside, predictio
 from simbias.recordings.mistakes import Mistake, changes, mistakes
 from simbias.recordings.parts import parts
 from simbias.recordings.reach import beyond
-from simbias.recordings.reading import read, read_apart
+from simbias.recordings.reading import UNKNOWN, read, read_apart
 from simbias.recordings.report import report
 from simbias.recordings.words import (
     about_errors,
     advice,
     error_names,
+    own_lines,
     parameter_rows,
     undetermined_lines,
     verdict,
@@ -211,6 +213,10 @@ def test_what_takes_up_a_parameter_that_changes_is_doubted_with_it(assessment: A
     assert doubts.pop("friction_2")[-1] == "recordings disagree"
     assert doubts.pop("damping_2")[-1] == "recordings disagree on friction_2"
     assert not any("disagree" in doubt for each in doubts.values() for doubt in each)
+    (doubted,) = [
+        each for each in findings(sure, [], [], apart=[sure, other]) if each.prior.name == "friction_2"
+    ]
+    assert doubted.lasting == ("the earlier posterior disagrees",)
 
 
 def test_what_is_advised_may_help(assessment: Assessment) -> None:
@@ -240,7 +246,7 @@ def test_what_is_advised_may_help(assessment: Assessment) -> None:
         assert [*advice(incomplete, useful)] == [
             "Correct the recordings or the model before you record more."
         ]
-    stepped = replace(first, doubts=(STEP_DOUBT,))
+    stepped = replace(first, lasting=(STEP_DOUBT,))
     said = next(advice(replace(assessment, findings=[stepped, *others]), "none"))
     assert said.startswith(f"Shorter steps of integration would move {first.prior.name}: take a smaller ")
     said = next(advice(replace(assessment, steps_checked=False), "none"))
@@ -439,6 +445,48 @@ def test_a_trial_begins_with_what_was_identified(
         )
 
 
+def test_doubts_about_recordings_stay_with_the_option(study: Study, assessment: Assessment) -> None:
+    """Those of the posterior's width do not."""
+    option, first = study.config["identification"], assessment.findings[0]
+    rest = [replace(each, lasting=()) for each in assessment.findings[1:]]
+    doubted = [replace(first, passing=("partly determined",), lasting=("a",), earlier=("b", "a")), *rest]
+    assert doubted[0].doubts == ("partly determined", "a", "doubted earlier: b")
+    written = yaml.safe_load("\n".join(option_lines(replace(assessment, findings=doubted), option)))
+    known = Known(**written["known"])
+    assert known.doubts == [["b", "a"], *([] for _ in rest)]
+
+
+def test_copies_do_not_count_again(study: Study, folder: Path) -> None:
+    """Rounded, cut or with another clock; nor what an option has learned. Repeated motions are no copies."""
+    study = replace(study, hardware=None)  # type: ignore[arg-type]
+    one = experiment(study.nominal, np.random.default_rng(8), 1600)
+    write_csv(one, folder / "one.csv")
+    write_csv(one.part(0, 800), folder / "half.csv")
+    rows = pd.read_csv("one.csv").iloc[1:].round(5)
+    rows.assign(time=rows["time"] + 3.0).to_csv("late.csv", index=False)
+    noise = NOISE * np.random.default_rng(0).standard_normal((2, *one.states.shape))
+    write_csv(replace(one, states=one.states + noise[0]), folder / "repeated.csv")
+    for i in (0, 1):
+        write_csv(replace(one, states=noise[i]), folder / f"rest{i}.csv")
+    apart = ["one.csv", "repeated.csv", "rest0.csv", "rest1.csv"]
+    found = read(study, [*apart, "half.csv", "late.csv"])
+    assert list(found.rollouts) == apart
+    assert found.notes == ("half.csv, late.csv: the same as in another file, so not counted again",)
+    (rest,) = read_apart(study, ["one.csv"], ["half.csv"])[0].pieces.rollouts
+    assert rest.frames == one.frames - 800
+    np.testing.assert_allclose(rest.with_history()[1][-rest.frames - 1], one.inputs[798])
+    learned = digests([one], study.task.time_step)
+    known = replace(Identified.of_prior(study.nominal).known, learned=[*map(str, learned)])
+    again = replace(study, identification=study.identification.with_known(known))  # type: ignore[attr-defined]
+    told = "late.csv: learned by the earlier posterior, so not counted again"
+    found, _ = read_apart(again, ["late.csv", "repeated.csv"], [])
+    assert list(found.rollouts) == ["repeated.csv"]
+    assert found.notes == (UNKNOWN, told)  # no doubts are known
+    with pytest.raises(ConfigError, match=r"^--held-out: the earlier posterior has learned all of it$"):
+        read_apart(again, ["repeated.csv"], ["late.csv"])
+    assert list(read_apart(again, ["late.csv"], [], again=True)[0].rollouts) == ["late.csv"]
+
+
 def test_names_of_a_model_are_no_keys_of_the_option(study: Study, assessment: Assessment) -> None:
     """An MJCF file may name its bodies as it likes, line breaks included."""
     size = len(study.nominal.parameters)
@@ -504,13 +552,17 @@ def test_the_file_that_the_model_is_read_from_is_not_replaced(study: Study, tmp_
 
 
 def test_what_each_recording_has_of_its_own_is_in_a_table(assessment: Assessment, tmp_path: Path) -> None:
-    """And the MJCF says that it has the prior's."""
+    """With their doubts; the MJCF says that it has the prior's."""
     robot = Mujoco(cart_pole(), mjcf(tmp_path), uncertainty={"tip.mass": 0.1, "pole.mass": 0.1})
     rig = Rig(cart_pole(), robot, {}, {}, each=["tip.mass"])
     first, second = (Identified(rig, np.full(2, z), 0.1 * np.eye(2), {}) for z in (-1.0, 1.0))
     identified = first.elsewhere()
     identified.recordings = (first, second)
-    table = of_recordings(replace(assessment, recordings=["bare", "loaded"], identified=identified))
+    own = own_findings(["bare", "loaded"], identified, [], np.array([[0.0, 0.0], [2.0, 2.0]]))
+    made = replace(assessment, own_findings=own).doubted("lagging")
+    table = of_recordings(made)
+    assert table["doubts"].tolist() == ["lagging", f"{STEP_DOUBT}; lagging"]
+    assert all(line.endswith("lagging)") for line in own_lines(made))
     assert table[["recording", "name"]].to_numpy().tolist() == [["bare", "tip.mass"], ["loaded", "tip.mass"]]
     assert table["value"].tolist() == [each.estimates[0].value for each in (first, second)]
     said = "<!-- tip.mass at the prior's median: each recording has its own, in recordings.csv. -->"
@@ -546,7 +598,7 @@ def test_the_page_is_one_file_and_runs_nothing(assessment: Assessment) -> None:
     low, high = sorted(assessment.ratios.values())
     said = f"times those of the nominal one ({low:.2f} to {high:.2f} in single parts), in the geo"
     assert said in verdict(assessment)
-    doubted = [replace(each, doubts=("partly determined",)) for each in assessment.findings]
+    doubted = [replace(each, passing=("partly determined",)) for each in assessment.findings]
     assert verdict(replace(assessment, findings=doubted)) == f"{verdict(assessment)} No parameter is trusted."
     first, *rest = assessment.predictions
     worse = replace(
@@ -657,6 +709,7 @@ def test_the_command_tells_and_writes(
     assert "On parts that it was not fitted to, the identified model's errors are 0." in out
     assert "one.csv 2 s at 500 Hz\nfitting all recordings\n" in out
     assert "identification=identified  (identified/conf/identification/identified.yaml)\n" in out
+    assert "\nThe model has learned one.csv, which counts again in the trial.\n" in out
     written = {path.name for path in (folder / "identified").rglob("*") if path.is_file()}
     assert written == {
         *("report.html", "parameters.csv", "errors.csv", "draws.csv", "excitation.csv", "identified.yaml")
@@ -692,8 +745,10 @@ def test_the_command_tells_and_writes(
 def test_nothing_is_fitted_to_what_is_held_out(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Nor to a copy of it, however it is named; without another recording, there is nothing to fit to."""
     (folder / "lab").mkdir()
-    for at, name in enumerate(("one", "two")):
-        write_csv(Rollout(np.full((202, 4), at), np.zeros((201, 2))), folder / "lab" / f"{name}.csv")
+    rng = np.random.default_rng(0)
+    for name in ("one", "two"):
+        states = 0.01 * rng.standard_normal((202, 4)) * [0, 1, 0, 1]
+        write_csv(Rollout(states, np.zeros((201, 2))), folder / "lab" / f"{name}.csv")
     (folder / "again.csv").symlink_to(folder / "lab" / "two.csv")
     options = ["preset=double_pendulum", "identification=posterior", "tracking=none"]
     found, kept = read_apart(simbias.load(options), ["lab", "lab/../lab/one.csv"], [folder / "again.csv"])
@@ -705,11 +760,11 @@ def test_nothing_is_fitted_to_what_is_held_out(folder: Path, capsys: pytest.Capt
     (folder / "copy.csv").write_bytes((folder / "lab" / "one.csv").read_bytes())
     found = read(simbias.load(options), ["lab", "copy.csv"])
     assert list(found.rollouts) == ["one.csv", "two.csv"]
-    assert "copy.csv: has the same samples as another file, so it does not count again" in found.notes
+    assert "copy.csv: the same as in another file, so not counted again" in found.notes
     found, _ = read_apart(simbias.load(options), ["lab"], ["copy.csv"])
     assert list(found.rollouts) == ["two.csv"]
     assert "one.csv: held out, so not fitted" in found.notes
-    refused = pytest.raises(ConfigError, match=r"^identify: needs recordings that are not held out: ")
+    refused = pytest.raises(ConfigError, match=r"^identify: needs recordings neither held out nor learned: ")
     with refused, pytest.warns(UserWarning, match=r"^one\.csv, two\.csv: held out, so not fitted"):
         simbias.identify(["lab"], options, held_out=["lab"])
     assert main(["identify", "--recover", "lab", *options, "--held-out", "lab"]) == 2

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import final
 
 import numpy as np
@@ -29,6 +29,10 @@ class Known:
     spread: list[list[Coordinate]]  # (p, p) a square root of the covariance
     declared: list[str] | None = None  # (p,) the priors of the coordinates, in words; None: unknown
     model: str | None = None  # digest of its nominal model (`simbias.trial.origin`); None: any
+    # What later runs of `identify` need, and no trial: doubts (p) that its recordings cause, and digests of
+    # these (`simbias.recordings.copies`). None: unknown.
+    doubts: list[list[str]] | None = field(default=None, compare=False)
+    learned: list[str] | None = field(default=None, compare=False)
 
 
 @final
@@ -175,6 +179,8 @@ class KnownPrior(Nominal):
             raise ConfigError("identification.known", problem + (", ".join(names) or "none"))
         if [len(known.mode), len(known.spread), *map(len, known.spread)] != [len(names)] * (2 + len(names)):
             raise ConfigError("identification.known", f"mode and spread must be for {len(names)} parameters")
+        if known.doubts is not None and len(known.doubts) != len(names):
+            raise ConfigError("identification.known.doubts", f"must be for {len(names)} parameters")
         declared = [_declared(parameter) for parameter in nominal.parameters]
         for name, before, now in zip(names, known.declared or declared, declared, strict=True):
             if before != now:
@@ -206,6 +212,14 @@ class KnownPrior(Nominal):
         whole = Identified(self._nominal, mode, spread, fitted.diagnostics, fitted.errors)
         whole.recordings = tuple(self.posterior(each) for each in fitted.recordings)
         return whole
+
+    def numbers(self, coordinates: Array) -> Array:
+        """The standard normal numbers (p,) of coordinates of the declared priors (p,)."""
+        return np.asarray(np.linalg.lstsq(self._spread, coordinates - self._mode)[0])
+
+    def deviations(self, numbers: Array) -> Array:
+        """Differences of coordinates of the declared priors (..., p) for those of numbers (..., p)."""
+        return numbers @ self._spread.T
 
     def _coordinates(self, values: Array) -> Array:
         return self._mode + self._spread @ values

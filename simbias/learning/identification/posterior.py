@@ -152,12 +152,12 @@ class Posterior(Identification):
         return other
 
     @property
-    def begins_with_known(self) -> bool:
-        """Whether an earlier posterior is its prior."""
-        return self._known is not None
+    def known(self) -> Known | None:
+        """The earlier posterior that is its prior; None without one."""
+        return self._known
 
-    def with_known(self, known: Known) -> Posterior:
-        """A copy that begins with an earlier posterior."""
+    def with_known(self, known: Known | None) -> Posterior:
+        """A copy that begins with an earlier posterior, or with the declared prior."""
         other = copy(self)
         other._known = known
         return other
@@ -185,11 +185,15 @@ class Posterior(Identification):
         declared, or the known model. Rollouts that are pieces of one recording share its specific parameters;
         `recordings` names the recording of each, by default one per rollout.
         """
-        if self._known is None:
+        prior = self.known_prior(nominal)
+        if prior is None:
             return self._fit(self.prior(nominal), rollouts, recordings)
-        prior = KnownPrior(self.prior(nominal), self._known)
         fitted = self._fit(prior, rollouts, recordings)
         return prior.posterior(fitted if isinstance(fitted, Identified) else None)
+
+    def known_prior(self, nominal: Nominal) -> KnownPrior | None:
+        """The nominal model with the earlier posterior as its prior; None without one."""
+        return None if self._known is None else KnownPrior(self.prior(nominal), self._known)
 
     def prior(self, nominal: Nominal) -> Nominal:
         """The nominal model, with the parameters of uncertain motors and sensors."""

@@ -13,7 +13,6 @@ from scipy.optimize import least_squares
 from simbias.core import Nominal
 from simbias.core.parameters import Parameter, values_at
 from simbias.core.records import Array, Indices
-from simbias.learning.identification.identified import Identified
 from simbias.learning.measurement_noise import Linearisation
 from simbias.learning.prediction_errors import FREEDOM, ErrorDistribution
 from simbias.simulation.open_loop import PredictionModel, Windows, predict
@@ -107,11 +106,11 @@ class WindowErrors:
 
         return across
 
-    def coordinates(self, fitted: Identified) -> Array:
-        """Coordinates (p,) of an identified model, including those specific to each recording."""
+    def coordinates(self, mode_of: Callable[[int], Array]) -> Array:
+        """Coordinates (p,) of an identified model, given those of each recording by its number."""
         z = np.empty(self.size)
         for place, recording in zip(self.places, self._recordings.tolist(), strict=True):
-            z[place] = fitted.of_recording(recording).mode
+            z[place] = mode_of(recording)
         return z
 
     def shift(self, z: Array, difference: Array) -> Array:

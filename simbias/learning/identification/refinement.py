@@ -13,7 +13,7 @@ from simbias.core.records import Array, Rollout
 from simbias.learning.identification.identified import Identified
 from simbias.learning.identification.posterior import Posterior
 from simbias.learning.identification.problem import WindowErrors
-from simbias.simulation.open_loop import plain
+from simbias.simulation.open_loop import plain, predict
 
 STEPS = (10, 16), (40, 64), (160, 256)  # per frame; the model's own steps may be as short as the first ones
 AGREE = 0.5  # of the change: if the changes of a pair differ more, shorter steps are tried
@@ -56,18 +56,25 @@ def moved_by_shorter_steps(
     rollouts: Sequence[Rollout],
     recordings: Sequence[str],
 ) -> Array | None:
-    """How far (p,) the mode would move, in its standard deviations, to first order.
+    """How far (r, p) the modes of r recordings would move, in their standard deviations, to first order.
 
-    None if the model cannot be built for shorter frames, has a model state, or has its own substeps that do
-    not divide a frame; and if the prior is an earlier posterior.
+    r is 1 if all recordings share all parameters. None if the model cannot be built for shorter frames, has
+    a model state, or has its own substeps that do not divide a frame.
     """
-    # The precision of an earlier posterior is not available.
-    if nominal.state_size or fitted.errors is None or posterior.begins_with_known:
+    if nominal.state_size or fitted.errors is None:
         return None
-    windows = posterior.windows(rollouts, recordings)
-    coarse = WindowErrors(posterior.prior(nominal), windows)
+    windows, known = posterior.windows(rollouts, recordings), posterior.known_prior(nominal)
+
+    def mode_of(recording: int) -> Array:
+        mode = fitted.of_recording(recording).mode
+        return mode if known is None else known.numbers(mode)
+
+    def errors_of(model: Nominal, predict: Callable[..., Array]) -> WindowErrors:
+        return WindowErrors(posterior.known_prior(model) or posterior.prior(model), windows, predict)
+
+    coarse = errors_of(nominal, predict)
     coarse.errors = fitted.errors
-    z = coarse.coordinates(fitted)
+    z = coarse.coordinates(mode_of)
     errors = coarse.prediction_errors(z[None])[0]
     for pair in STEPS:
         try:
@@ -77,13 +84,15 @@ def moved_by_shorter_steps(
         if refined[0].parameters != nominal.parameters:
             return None
         # In NumPy: they predict only once, and compiling would take longer.
-        fine = [WindowErrors(posterior.prior(each), windows, plain) for each in refined]
+        fine = [errors_of(each, plain) for each in refined]
         shorter, shortest = (each.prediction_errors(z[None])[0] - errors for each in fine)
         if _differ(shorter, shortest) <= AGREE:
             # Extrapolation for a first-order integrator.
             limit = shortest + (shortest - shorter) / (pair[1] / pair[0] - 1)
-            moved = np.abs(coarse.shift(z, limit)[: len(fitted.parameters)])
-            return np.asarray(moved / np.sqrt(np.diag(fitted.covariance)))
+            moved = coarse.shift(z, limit)[np.unique(coarse.places, axis=0)]
+            covariances = [fitted.of_recording(i).covariance for i in range(len(moved))]
+            moved = moved if known is None else known.deviations(moved)
+            return np.asarray(np.abs(moved) / np.sqrt(np.diagonal(covariances, axis1=1, axis2=2)))
         if _differ(*(each.rate(windows.begin, windows.inputs) for each in refined)) > SAME_RATE:
             return None
     return None
