@@ -97,6 +97,11 @@ class Assessment:
         return any(finding.trusted for finding in self.findings)
 
     @property
+    def sound(self) -> bool:
+        """Whether a trial may begin with the model: it is better, and trusted in part, with right signs."""
+        return self.better and self.trusted and not self.mistakes
+
+    @property
     def failing(self) -> float:
         """The share of recorded states that violate the task's failure criteria."""
         states = [rollout.states for part in self.parts for rollout in part.rollouts]

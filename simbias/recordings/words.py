@@ -58,6 +58,15 @@ def verdict(assessment: Assessment) -> str:
     )
 
 
+def beginning(assessment: Assessment) -> str:
+    """Advice on a trial with the model, which is better, ahead of the overrides that begin one."""
+    if assessment.mistakes:
+        return "Before a trial, correct the recordings and identify again; to start one anyway:"
+    if not assessment.trusted:
+        return "Before a trial, remove the doubts, as no parameter is trusted; to start one anyway:"
+    return "Start a trial with it:"
+
+
 def _lacking(assessment: Assessment) -> str:
     """A sentence if errors are larger than noise and the model's uncertainty explain; else ""."""
     if (found := assessment.unexplained) is None:

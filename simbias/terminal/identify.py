@@ -99,7 +99,7 @@ class Request(NamedTuple):
 def identify(request: Request, attach: bool = False) -> bool:
     """Identify a model, print and write the results; return whether it is better than the nominal one.
 
-    If no parameter is trusted, it is not good enough for an attached trial.
+    If no parameter is trusted, or a sign seems wrong, it is not good enough for an attached trial.
 
     A ConfigError names a bad override, an unreadable recording, an unwritable file, or the hardware of an
     attached trial that has no recordings.
@@ -129,11 +129,10 @@ def identify(request: Request, attach: bool = False) -> bool:
     tell(console, assessment, excitation)
     say(console, f"Look at it:  {request.folder / 'report.html'}")
     again = f"--config-dir {request.configs} {GROUP}={request.option.stem}"
-    begin = f"Start a trial with it:  {again}" if assessment.better else "Start no trial with it"
+    begin = f"{words.beginning(assessment)}  {again}" if assessment.better else "Start no trial with it"
     say(console, f"{begin}  ({request.option})")
-    if attach and not assessment.trusted:
-        anyway = "; the line above starts one anyway" if assessment.better else ""
-        say(console, f"No trial is started, as no parameter is trusted{anyway}.")
+    if attach and not assessment.sound:
+        say(console, "No trial is started.")
         return False
     for name in learned_files(study, assessment.learned) if attach else ():
         say(console, f"The model has learned {name}, which counts again in the trial.", "yellow")

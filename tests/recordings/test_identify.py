@@ -45,6 +45,7 @@ from simbias.recordings.report import report
 from simbias.recordings.words import (
     about_errors,
     advice,
+    beginning,
     error_names,
     own_lines,
     parameter_rows,
@@ -171,7 +172,10 @@ def test_signs_and_columns_that_are_mistaken_are_named(
     assert [(each.words, each.recordings) for each in told] == [(joint.words, []), (torque.words, [])]
     some = {"right": first, "brief": brief, "a": torque.of(first), "b": torque.of(others[0])}
     assert [each.recordings for each in mistakes(task, both[:1], some)] == [["a", "b"]]
-    assert verdict(replace(assessment, mistakes=[Mistake(words, times, ["b.csv"])])).endswith(
+    mistaken = replace(assessment, mistakes=[Mistake(words, times, ["b.csv"])])
+    assert [assessment.sound, mistaken.sound] == [True, False]
+    assert beginning(mistaken).startswith("Before a trial, correct the recordings")
+    assert verdict(mistaken).endswith(
         f" With {words} (in b.csv alone), the nominal model's errors are {times:.2f} times as large: "
         "check the recorded sign and column."
     )
@@ -708,7 +712,7 @@ def test_the_command_tells_and_writes(
     assert "Not determined: " in out
     assert "On parts that it was not fitted to, the identified model's errors are 0." in out
     assert "one.csv 2 s at 500 Hz\nfitting all recordings\n" in out
-    assert "identification=identified  (identified/conf/identification/identified.yaml)\n" in out
+    assert "\nStart a trial with it:  --config-dir identified/conf identification=identified  (" in out
     assert "\nThe model has learned one.csv, which counts again in the trial.\n" in out
     written = {path.name for path in (folder / "identified").rglob("*") if path.is_file()}
     assert written == {
@@ -720,7 +724,9 @@ def test_the_command_tells_and_writes(
     with monkeypatch.context() as patched:
         patched.setattr(Assessment, "trusted", False)
         assert main([*arguments, "method.max_iterations=2", "--attach"]) == 1
-    assert "No trial is started, as no parameter is trusted; " in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert re.search(r"^Before a trial, remove the doubts, .*: +--config-dir ", out, re.MULTILINE)
+    assert "\nNo trial is started.\n" in out
     assert list((folder / "trials").iterdir()) == [of_trial]
     write_csv(experiment(study.nominal, np.random.default_rng(0)), folder / "two.csv")
     files, overrides = arguments[:2], arguments[2:]
@@ -728,7 +734,7 @@ def test_the_command_tells_and_writes(
     out = capsys.readouterr().out
     assert "Do not use it." in out
     assert "Start no trial with it  (identified/conf/identification/identified.yaml)\n" in out
-    assert "No trial is started, as no parameter is trusted.\n" in out
+    assert "No trial is started.\n" in out
     assert "Next: No trajectory is proposed (it would rely on the identified model" in out
     for wrong, said in (
         (["identify", "three.csv", *arguments[2:]], "three.csv: no such recording (.csv, .csv.gz, .mcap, "),
