@@ -94,6 +94,7 @@ def findings(
             f"only together with {', '.join(partners)}" if partners else "",
             "at its bound" if at_bound(parameter, estimate.value) else "",
             "far from its declared value" if tail > TAIL else "",
+            f"at the assumed {parameter.assumed}" if parameter.assumed else "",
         ]
         lasting = [
             _of_contradiction("recordings disagree", disagree, i, R[i], names),

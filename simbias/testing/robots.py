@@ -73,9 +73,9 @@ def _nominal_parameters(study: Study) -> None:
     nominal, x, u = study.nominal, robot_states(study), inputs(study)
     names = [parameter.name for parameter in nominal.parameters]
     expect(len(set(names)) == len(names), "nominal.parameters", "different names", names)
-    for name, _, value, _, prior, _ in nominal.parameters:
-        known = prior != "log_normal" or value != 0  # it keeps its sign
-        expect(known, "nominal.parameters", f"{name} other than 0, log-normal", value)
+    for each in nominal.parameters:
+        known = each.prior != "log_normal" or each.value != 0  # it keeps its sign
+        expect(known, "nominal.parameters", f"{each.name} other than 0, log-normal", each.value)
     if names:
         values = np.array([parameter.value for parameter in nominal.parameters])
         others = values_at(nominal.parameters, np.linspace(0.1, 0.2, len(names)))

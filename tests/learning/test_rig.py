@@ -21,6 +21,7 @@ from simbias.learning.identification.posterior import Posterior
 from simbias.learning.identification.problem import WindowErrors
 from simbias.learning.identification.rig import Motor, Rig, Sensor
 from simbias.learning.prediction_errors import ErrorDistribution
+from simbias.recordings.findings import findings
 from simbias.robots.mujoco.model import Mujoco
 from simbias.simulation.open_loop import PredictionModel, Windows
 from simbias.trial.study import Study
@@ -73,6 +74,10 @@ def test_friction_brakes_and_falls_with_the_velocity(study: Study) -> None:
     assert changes[0] < 0
     assert changes[1] == pytest.approx(2 * changes[0], rel=1e-3)
     assert changes[2] == pytest.approx(changes[0], rel=1e-3)  # half of 0.1 N m, and a tenth of 0.5 N m
+    fitted = Identified(rig, np.zeros(len(rig.parameters)), 0.1 * np.eye(len(rig.parameters)), {})
+    doubts = {each.prior.name: each.doubts for each in findings(fitted, [], [])}
+    assumed = ("at the assumed Stribeck velocity of 0.2 rad/s",)
+    assert doubts["tau1.stribeck"] == doubts["tau1.load"] == assumed != doubts["mass_1"]
 
 
 def test_a_mujoco_model_has_motors_too(tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ from simbias.core.records import Array
 from simbias.simulation.actuator import Actuator, Actuators, taps_of
 from simbias.simulation.compiler import elementwise, function_of
 
-STRIBECK = 0.2  # rad/s or m/s, at which Stribeck friction has halved
+STRIBECK = 0.2  # rad/s or m/s, at which Stribeck friction has halved; recordings determine it poorly
 SMOOTH = 0.02  # rad/s or m/s, range in which friction changes its sign
 MOST_DELAY = 4.0  # upper limit of a delay, in prior deviations
 _PRIORS: dict[str, tuple[str, float, Prior]] = {  # unit, or "" for the signal's; value; distribution
@@ -100,7 +100,7 @@ class Rig(Nominal):
         brakes = [motors[u].velocity if u in motors else None for u in inputs]
         self._brakes = tuple(None if name is None else states.index(name) for name in brakes)
         self._taps = _taps(task, motors)
-        own = [*_parameters(task.inputs, motors), *_parameters(task.states, sensors)]
+        own = [*_parameters(task.inputs, motors, task.states), *_parameters(task.states, sensors)]
         shared = [p._replace(of_recording=p.of_recording or p.name in each) for p in nominal.parameters]
         self.parameters = (*shared, *own)
         self._values = {parameter.name: parameter.value for parameter in own}
@@ -226,15 +226,33 @@ def _taps(task: Task, motors: Mapping[str, Motor]) -> int:
     return taps_of(MOST_DELAY * longest, task.time_step)
 
 
-def _parameters(signals: Sequence[Quantity], uncertain: Mapping[str, Motor | Sensor]) -> list[Parameter]:
-    """The uncertain parameters of motors or of sensors, signal by signal."""
+def _parameters(
+    signals: Sequence[Quantity], uncertain: Mapping[str, Motor | Sensor], states: Sequence[Quantity] = ()
+) -> list[Parameter]:
+    """The uncertain parameters of motors or of sensors, signal by signal; motors brake these states."""
     return [
-        Parameter(f"{signal.name}.{name}", unit or signal.unit, value, spread, prior, name == "zero")
+        Parameter(
+            f"{signal.name}.{name}",
+            unit or signal.unit,
+            value,
+            spread,
+            prior,
+            name == "zero",
+            _assumed(uncertain[signal.name], states) if name in ("stribeck", "load") else "",
+        )
         for signal in signals
         if signal.name in uncertain
         for name, (unit, value, prior) in _PRIORS.items()
         if (spread := getattr(uncertain[signal.name], name, 0.0))  # each has some of these
     ]
+
+
+def _assumed(motor: Motor | Sensor, states: Sequence[Quantity]) -> str:
+    """The velocity that a motor's Stribeck friction is identified at; "" without such friction."""
+    if not isinstance(motor, Motor) or not motor.stribeck:
+        return ""
+    unit = next(state.unit for state in states if state.name == motor.velocity)
+    return f"Stribeck velocity of {STRIBECK:g} {unit}"
 
 
 def _function(name: str, arguments: str, terms: Sequence[str]) -> Callable:
