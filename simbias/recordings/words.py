@@ -72,10 +72,16 @@ def _lacking(assessment: Assessment) -> str:
     if (found := assessment.unexplained) is None:
         return ""
     times, seconds = found
+    cause = ", or its integration steps are too long" if _stepped(assessment) else ""
     return (
         f" Errors after {seconds:g} s are {times:.1f} times what measurement noise and intervals explain: "
-        "the model lacks something. Its values are those that predict best; they may not be the robot's."
+        f"the model lacks something{cause}. Its values are those that predict best; they may not be the robot's."
     )
+
+
+def _stepped(assessment: Assessment) -> list[str]:
+    """The parameters that shorter integration steps would move."""
+    return [each.estimate.name for each in assessment.findings if STEP_DOUBT in each.doubts]
 
 
 def _mistakes(assessment: Assessment) -> str:
@@ -177,8 +183,7 @@ def reach_lines(assessment: Assessment) -> Iterator[str]:
 
 def advice(assessment: Assessment, excitation: Excitation | str) -> Iterator[str]:
     """Sentences about integration steps, windows, and what the next trajectory should determine."""
-    stepped = [finding.estimate.name for finding in assessment.findings if STEP_DOUBT in finding.doubts]
-    if stepped:
+    if stepped := _stepped(assessment):
         yield f"Shorter steps of integration would move {', '.join(stepped)}: {SHORTER}."
     if not assessment.steps_checked:
         yield "Whether shorter steps of integration would move parameters could not be checked."

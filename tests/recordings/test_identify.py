@@ -125,6 +125,9 @@ def test_errors_that_noise_and_uncertainty_do_not_explain_are_told(assessment: A
     said = r" Errors after \S+ s are [34]\.\d times what measurement noise and intervals explain: "
     assert re.search(said, verdict(lacking))
     told = [[row[-1] for row in parameter_rows(each)] for each in (assessment, lacking)]
+    stepped = [replace(each, lasting=(STEP_DOUBT,)) for each in lacking.findings]
+    cause = "the model lacks something, or its integration steps are too long. Its values"
+    assert [cause in verdict(each) for each in (lacking, replace(lacking, findings=stepped))] == [False, True]
     assert "yes" in told[0]
     doubt = "the model lacks something"
     assert told[1] == [doubt if cell == "yes" else f"{cell}; {doubt}" for cell in told[0]]
