@@ -75,7 +75,8 @@ def _lacking(assessment: Assessment) -> str:
     cause = ", or its integration steps are too long" if _stepped(assessment) else ""
     return (
         f" Errors after {seconds:g} s are {times:.1f} times what measurement noise and intervals explain: "
-        f"the model lacks something{cause}. Its values are those that predict best; they may not be the robot's."
+        f"the model lacks something{cause}. Its values are those that predict best; they may not be the "
+        "robot's."
     )
 
 
