@@ -7,10 +7,12 @@ from functools import partial
 from pathlib import Path
 
 import joblib
+import numpy as np
 import pandas as pd
 import premise
 import pytest
 from conftest import ROOT
+from identify_coverage import Case, measure
 from sweeping import FOLDERS, NO_FIGURES
 
 from simbias.__main__ import main
@@ -117,3 +119,13 @@ def test_what_is_learned_of_gaps_predicts_other_experiments(study: Study, tmp_pa
     assert errors["nominal"] == 1
     assert errors["identified"] < 0.3
     assert errors["both"] < 0.3
+
+
+def test_intervals_of_a_drawn_robot_are_counted() -> None:
+    """A spring that the model lacks is noticed, and no parameter is trusted."""
+    inputs = [np.sin(np.arange(400)[:, None] * np.array(rates)) for rates in ([0.05, 0.08], [0.09, 0.04])]
+    found, lacking = (measure(Case("two-link arm", 100, spring=s), 0, inputs) for s in ("no", "yes"))
+    assert found["over_explained"] < 2 < lacking["over_explained"]
+    assert found["intervals"] == 11
+    assert 0 < found["trusted_hold"] <= found["hold"] <= 11
+    assert lacking["trusted"] == lacking["trusted_hold"] == 0
