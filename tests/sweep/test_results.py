@@ -10,6 +10,7 @@ from pathlib import Path
 
 import cells_compared
 import goal_errors
+import identify_coverage
 import last_policies
 import numpy as np
 import optimizers
@@ -224,6 +225,13 @@ def test_the_optimizers_table_is_that_of_its_searches() -> None:
     assert set(searches.groupby(["optimizer", "budget"]).size()) == {50}
     assert set(searches["optimizer"]) > set(optimizers.OPTIMIZERS)  # some were left out since
     assert optimizers.table(searches) == (folder / "table.md").read_text()
+
+
+def test_the_table_of_coverage_is_that_of_its_robots() -> None:
+    folder = RESULTS / "identify_coverage"
+    robots = pd.read_csv(folder / "coverage.csv")
+    assert set(robots.groupby(identify_coverage.CASE).size()) == {10}
+    assert identify_coverage.table(robots) in (folder / "HOW.md").read_text()
 
 
 @pytest.mark.slow
