@@ -299,3 +299,25 @@ def test_their_simulator_and_our_model_agree() -> None:
         running.step(u)
         x = ours.step(x, u)
     np.testing.assert_allclose(running.state(), x, atol=2e-3)
+
+
+def test_published_scores_are_those_of_the_published_policies() -> None:
+    """The table is from the CSV; one run of the pendubot's first policy gives its performance again."""
+    import score
+    import searches
+
+    folder = ROOT / "sweeps" / "results" / "board"
+    rows, text = pd.read_csv(folder / "searches.csv"), (folder / "HOW.md").read_text()
+    assert rows.groupby("robot")["seed"].apply(list).to_dict() == {
+        robot: [*range(1, 11)] for robot in score.DRIVEN
+    }
+    for robot, own in rows.groupby("robot"):
+        robustness = own["robustness"]
+        told = f"{robustness.mean():.3f} ({robustness.min():.3f} to {robustness.max():.3f})"
+        chosen = own.loc[own["development"].idxmax()]
+        assert f"{told} | **{chosen['robustness']:.3f}** |" in text, robot
+    study = searches.study_of("pendubot")
+    law = score.Asked(study.policy, study.task, searches.parameters(rows.iloc[0]))
+    assert score.performance(law, score.DRIVEN.index("pendubot")) == pytest.approx(
+        rows["performance"][0], abs=1e-3
+    )

@@ -40,6 +40,7 @@ SECONDS = 10.0
 TYPICAL = {"time": 20.0, "energy": 60.0, "torque": 20.0, "smoothness": 0.1, "velocity": 400.0}
 NEAR = np.array([0.35, 0.35, 1.0, 1.0])  # of the goal, in the last state
 LEVELS, REPETITIONS, PUSHED = 21, 10, 50
+DRAWN = 100  # scenarios of each kind, to choose a policy by
 SEEDS = range(10)  # of the resets
 CHANGED = {  # of the plant, one at a time: from, to; relative where it is of a link
     "rotor": (0.0, 1e-4),
@@ -111,6 +112,20 @@ def scenarios(joint: int, rng: np.random.Generator) -> list[Scenario]:
     return found + [Scenario("pushes", i, pushes=_pushes(joint, rng)) for i in range(PUSHED)]
 
 
+def drawn_scenarios(joint: int, rng: np.random.Generator, count: int = DRAWN) -> list[Scenario]:
+    """As many of each kind, drawn from the score's ranges: to choose a policy by, without its score."""
+    names, share, found = [*CHANGED], rng.random(count), []
+    for i in range(count):
+        name = names[i % len(names)]
+        value = rng.uniform(*CHANGED[name]) * (PLANT[name] or 1.0)
+        found.append(Scenario("model", plant=((name, value),)))
+    found += [Scenario("velocity noise", velocity_noise=0.5 * each) for each in share]
+    found += [Scenario("torque noise", torque_noise=1.1 * each) for each in share]
+    found += [Scenario("response", response=0.1 + 1.9 * each) for each in share]
+    found += [Scenario("delay", delay=0.04 * each) for each in share]
+    return found + [Scenario("pushes", pushes=_pushes(joint, rng)) for _ in range(count)]
+
+
 def _pushes(joint: int, rng: np.random.Generator) -> tuple[tuple[float, float, float], ...]:
     """Three at the driven joint, of six whose middles are at least 1 s apart."""
     middles = rng.permutation(np.cumsum(1.0 + 0.5 * rng.random(6))).reshape(2, 3)[joint]
@@ -170,6 +185,12 @@ def robustness(law: Law, joint: int, seed: int) -> dict[str, float]:
         else:
             rates[kind] = float(np.mean(held[own]))
     return rates | {"robustness": float(np.mean(list(rates.values())))}
+
+
+def development_score(law: Law, joint: int) -> float:
+    """The share of drawn scenarios that the law holds: as robustness, but on scenarios of its own."""
+    rng = np.random.default_rng(DRAWN)
+    return float(np.mean(succeeds(simulate(law, drawn_scenarios(joint, rng), joint, rng))))
 
 
 def uptime(law: Law, joint: int, seeds: Sequence[int], after: list[Array] | None = None) -> Array:
@@ -258,11 +279,15 @@ def main() -> None:
     policy, task, theta = study.policy, study.task, last.parameters
     joint = DRIVEN.index(arguments.robot)
     Path(f"con_{arguments.name}.py").write_text(controller_file(policy, task, theta, joint, arguments.name))
-    law = Asked(policy, task, theta)
-    print(f"performance {performance(law, joint):.3f}")
-    print(", ".join(f"{kind} {rate:.3f}" for kind, rate in robustness(law, joint, arguments.seed).items()))
+    for name, score in scores(Asked(policy, task, theta), joint, arguments.seed).items():
+        print(f"{name} {score:.3f}")
+
+
+def scores(law: Law, joint: int, seed: int) -> dict[str, float]:
+    """All scores; `seed` is of the noise and the pushes."""
     shares = uptime(law, joint, SEEDS)
-    print(f"uptime {shares.mean():.3f} ({shares.min():.3f} to {shares.max():.3f})")
+    up = {"uptime": float(shares.mean()), "least": float(shares.min()), "most": float(shares.max())}
+    return {"performance": performance(law, joint)} | robustness(law, joint, seed) | up
 
 
 if __name__ == "__main__":
