@@ -12,7 +12,7 @@ from simbias.learning.noise import noise_of
 
 SLOWEST = 0.05  # s, interval over which positions and velocities are compared
 LATEST, CLEARLY = 0.1, 0.5  # s, largest delay of a rate; largest share of squared differences left then
-LATE, PART = 0.002, 0.3  # s, and share of a frame: tolerated delay, as of simulators with few steps per frame
+LATE, PART = 0.0015, 0.15  # s, share of a frame: tolerated delays, as of simulators with few steps
 SURE = 4.0  # standard errors of a significant delay
 TWICE = 2.0  # allowed ratio of position changes to integrated velocities
 CORRELATED = 0.8  # correlation below which sizes of velocities are not compared
