@@ -2,13 +2,15 @@
 
 A digest of a block holds signs of random projections (SimHash: M. Charikar, STOC 2002), which are mostly the
 same for similar blocks: of the states, and of differences over several samples. The latter are mainly
-measurement noise, in which copies agree and repeated experiments do not.
+measurement noise, in which copies agree and repeated experiments do not. Where they are motion, as without
+noise or at low rates, a hash of the samples replaces them, so that only exact copies are found.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from functools import lru_cache
+from hashlib import blake2b
 from typing import NamedTuple
 
 import numpy as np
@@ -30,7 +32,7 @@ Bits = NDArray[np.uint64]
 
 
 class Digest(NamedTuple):
-    """The digest of a block: bits, and sizes, which are geometric means over states."""
+    """The digest of a block: bits, and sizes, which are geometric means over states; no noise has size 0."""
 
     frames: int
     noise: int
@@ -94,8 +96,13 @@ class Blocks:
     """The digests of the blocks of this many frames that begin in each frame (k,) of some states."""
 
     def __init__(self, states: Array, frames: int) -> None:
-        self._frames = frames
-        self._noise, self._noises, events = _projected(np.diff(states, ORDER, axis=0), frames + 1 - ORDER)
+        self._frames, differences = frames, np.diff(states, ORDER, axis=0)
+        self._noise, self._noises, events = _projected(differences, frames + 1 - ORDER)
+        smooth = _smooth(differences, frames + 1 - ORDER)
+        self._noises[smooth] = 0.0
+        for i in np.flatnonzero(smooth):
+            samples = blake2b(states[i : i + frames + 1].tobytes(), digest_size=8)
+            self._noise[i] = int(samples.hexdigest(), 16)
         self._motion, self._motions, _ = _projected(states[:-1] - states.mean(axis=0), frames)
         # At rest there are few events, such as an encoder's counts.
         self.tell = (self._motions > 0) & ((events > EVENTS) | (self._motions > self._noises))
@@ -117,6 +124,15 @@ def _near(sizes: Array, size: float) -> Flags:
     return np.abs(sizes - size) <= SIZES * size
 
 
+def _smooth(differences: Array, length: int) -> Flags:
+    """In which blocks (k,) differences are motion: those of noise have changing signs."""
+    scaled = differences / np.maximum(np.abs(differences).max(axis=0), np.finfo(float).tiny)
+    n = scaled.shape[1]
+    products = _moving(scaled[1:] * scaled[:-1], np.ones((length - 1, n)))
+    squares = _moving(scaled**2, np.ones((length, n)))
+    return np.asarray((products / np.maximum(squares, STILL**2)).sum(axis=1) > 0)
+
+
 def _projected(values: Array, length: int) -> tuple[Bits, Array, Array]:
     """Signs of projections, sizes, and effective numbers of events (k,), of all blocks of values."""
     n = values.shape[1]
@@ -131,9 +147,9 @@ def _projected(values: Array, length: int) -> tuple[Bits, Array, Array]:
     logs = np.where(moves, np.log(largest * np.maximum(deviation, STILL)), 0.0)
     sizes = np.exp(logs.sum(axis=1) / count) * moves.any(axis=1)
     weights = _weights(length, n)
-    projected = [inverse[:, [i]] * _moving(scaled[:, [i]], weights[i]) for i in range(n)]
+    projected = sum(inverse[:, [i]] * _moving(scaled[:, [i]], weights[i]) for i in range(n))
     return (
-        np.packbits(np.sum(projected, axis=0) > 0, axis=1).view(">u8")[:, 0].astype(np.uint64),
+        np.packbits(projected > 0, axis=1).view(">u8")[:, 0].astype(np.uint64),
         sizes,
         events,
     )

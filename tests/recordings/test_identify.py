@@ -23,7 +23,7 @@ from simbias.learning.identification.posterior import Posterior
 from simbias.learning.identification.rig import Rig, Sensor
 from simbias.recordings import horizons, plots
 from simbias.recordings.assessment import Assessment, assess, own_findings, prepared
-from simbias.recordings.copies import digests
+from simbias.recordings.copies import copied, digests
 from simbias.recordings.excitation import Excitation
 from simbias.recordings.files import (
     check_replaces_nothing,
@@ -492,6 +492,23 @@ def test_copies_do_not_count_again(study: Study, folder: Path) -> None:
     with pytest.raises(ConfigError, match=r"^--held-out: the earlier posterior has learned all of it$"):
         read_apart(again, ["repeated.csv"], ["late.csv"])
     assert list(read_apart(again, ["late.csv"], [], again=True)[0].rollouts) == ["late.csv"]
+
+
+@pytest.mark.parametrize("noise", [0.0, 3e-4])
+def test_repeated_motions_at_low_rates_are_no_copies(noise: float) -> None:
+    """Differences over several samples are motion there, and similar; exact copies are still found."""
+    rng, t = np.random.default_rng(0), 0.1 * np.arange(201)
+
+    def recording() -> Rollout:
+        q = rng.normal(1.0, 0.01) * np.sin(4.4 * t) + rng.normal(0.3, 0.003) * np.sin(11.9 * t)
+        q += noise * rng.standard_normal(len(t))
+        return Rollout(np.column_stack([q, np.gradient(q, 0.1)]), np.zeros((200, 1)))
+
+    one, repeated = recording(), recording()
+    learned = digests([one], 0.1)
+    assert not copied(repeated, learned).any()
+    assert copied(one, learned).all()
+    assert copied(one.part(50, 200), learned).all()
 
 
 def test_names_of_a_model_are_no_keys_of_the_option(study: Study, assessment: Assessment) -> None:
