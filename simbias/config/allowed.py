@@ -91,7 +91,8 @@ def own(config: Any, folders: Sequence[Path], prefixes: Sequence[str]) -> Own:
     homes = [home for folder in folders for home in (folder.resolve(), folder.absolute().parent.resolve())]
     sys.path += [path for path in dict.fromkeys(map(str, homes)) if path not in sys.path]
     for module in sorted({str(target).rpartition(".")[0] for target in targets(config)}):
-        _check_not_hidden(module, homes)
+        if module.partition(".")[0] != OWN:  # a folder of configs may lie in another checkout of simbias
+            _check_not_hidden(module, homes)
     names = {str(target).partition(".")[0] for target in targets(config)} - {OWN}
     beside = sorted(name for name in names if homes and _homes(name) and _homes(name) <= {*homes})
     return Own((*prefixes, *beside), tuple(str(folder.absolute()) for folder in folders))
@@ -112,11 +113,14 @@ def leaves(config: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[tuple[Any,
 
 
 def _check_not_hidden(module: str, homes: Sequence[Path]) -> None:
-    """Refuse a module that lies in one of the folders if Python imports another of the same name."""
+    """Refuse a module that lies in one of the folders if Python imports another of the same name.
+
+    A copy with the same text, such as an installed one, is allowed.
+    """
     imported = _file(module)
     for home in homes:
         file = _file(module, [str(home)])
-        if imported and file and file != imported:
+        if imported and file and file != imported and file.read_bytes() != imported.read_bytes():
             raise ConfigError(
                 str(file), f"Python imports {quote(module)} from {imported} instead; rename one of them"
             )

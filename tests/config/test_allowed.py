@@ -80,7 +80,7 @@ def test_what_lies_beside_a_folder_is_found_from_elsewhere(
 def test_a_module_that_hides_one_beside_a_folder_is_refused(project: Path) -> None:
     """Also if it is allowed, or already imported."""
     names = {"beside": "beside.py", "package.part": "package/part.py"}
-    other = write(project / "other", dict.fromkeys(names.values(), CLASS))
+    other = write(project / "other", dict.fromkeys(names.values(), CLASS.replace("...", "pass")))
     write(other, {f"conf/bias/{name}.yaml": f"_target_: {name}.Mine" for name in names})
     assert bias_of("beside") == "Mine"
     for name, file in names.items():
@@ -88,6 +88,13 @@ def test_a_module_that_hides_one_beside_a_folder_is_refused(project: Path) -> No
         for allow in ([], [name]):
             with pytest.raises(ConfigError, match=line):
                 compose([f"bias={name}"], other / "conf", allow)
+
+
+def test_copies_of_a_module_hide_nothing(project: Path) -> None:
+    """Such as an installed package beside its source, or simbias beside another checkout of it."""
+    other = write(project / "other", {"beside.py": CLASS, "conf/bias/mine.yaml": "_target_: beside.Mine"})
+    write(other, {"simbias/__init__.py": "", "simbias/cost/quadratic.py": "", "simbias/cost/__init__.py": ""})
+    assert compose(["bias=mine", "preset=double_cartpole"], other / "conf", ["beside"])
 
 
 def test_what_is_not_allowed_is_not_imported(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
