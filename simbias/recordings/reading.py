@@ -101,7 +101,7 @@ def read(
             recording = reader.read(file, whole_lines=True)
         except HardwareError as error:
             raise ConfigError("", words(error)) from error
-        left = _numbered(recording)
+        whole = left = _numbered(recording)
         for note, known in {**(already or {}), SAME: seen}.items():
             before, left = left, [part for each in left for part in _new(*each, known, time_step)]
             if seconds := time_step * (_frames(before) - _frames(left)):
@@ -113,10 +113,12 @@ def read(
             notes[note].append(name)
         seen += digests([piece for piece, _ in left], time_step)
         pieces = [each for each in left if not needed or needed.windows([each[0]])]
-        if needed and not pieces:
+        if needed and not pieces and _frames(left) == _frames(whole):
             raise ConfigError(str(file), f"is shorter than a window of {needed.window:g} s")
         if needed and (short := len(left) - len(pieces)):
             notes[f"{counted(short, 'piece')} shorter than {needed.window:g} s left out"].append(name)
+        if not pieces:
+            continue
         rollouts[name], times[name] = zip(*pieces, strict=True)
         extents.append(f"{name} {_extent(study.task, rollouts[name], times[name])}")
     texts = tuple(f"{', '.join(names)}: {note}" for note, names in notes.items())

@@ -482,6 +482,11 @@ def test_copies_do_not_count_again(study: Study, folder: Path) -> None:
     (rest,) = read_apart(study, ["one.csv"], ["half.csv"])[0].pieces.rollouts
     assert rest.frames == one.frames - 800
     np.testing.assert_allclose(rest.with_history()[1][-rest.frames - 1], one.inputs[798])
+    write_csv(one.part(0, 1400), folder / "longer.csv")
+    wide = replace(study, identification=study.identification.with_window(1.5))  # type: ignore[attr-defined]
+    found = read(wide, ["half.csv", "longer.csv"], windows=1.0)
+    assert list(found.rollouts) == ["half.csv"]
+    assert found.notes[-1] == "longer.csv: 1 piece shorter than 1.5 s left out"
     learned = digests([one], study.task.time_step)
     known = replace(Identified.of_prior(study.nominal).known, learned=[*map(str, learned)])
     again = replace(study, identification=study.identification.with_known(known))  # type: ignore[attr-defined]
