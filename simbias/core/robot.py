@@ -6,6 +6,7 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from copy import copy
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any, NamedTuple, final
 
@@ -72,7 +73,12 @@ def check_starts(task: Task) -> None:
     starts = np.array([task.draw_start(rng) for _ in range(DRAWN)])
     failed = task.violated(starts) >= 0
     with np.errstate(all="ignore"):
-        wrong = ~np.isfinite(task.output(starts[~failed])).T
+        outputs = np.asarray(task.output(starts[~failed]))
+    if outputs.shape != (expected := (int(np.sum(~failed)), len(task.outputs))):
+        raise ValueError(
+            f"output of {expected[0]} states: expected shape {expected}, got {outputs.shape}"
+        )
+    wrong = ~np.isfinite(outputs).T
     names = dict.fromkeys(task.failure(start) or "" for start in starts[failed])
     found = [(failed, f"the task fails at {{}} drawn starts: {', '.join(names)}")]
     found += [
@@ -272,11 +278,11 @@ class Hardware(ABC):
 
     sets_start: bool = True  # whether an experiment begins at the requested start; else where the robot is
 
-    @property
+    @cached_property  # so that an instance may set it
     def concurrent(self) -> bool:
         """Whether trials may run at the same time, in processes that may be killed: not if `stop` has to act.
 
-        A class whose `stop` ends a simulation sets `concurrent = True`.
+        A class or an instance whose `stop` ends a simulation sets `concurrent = True`.
         """
         return type(self).stop is Hardware.stop
 

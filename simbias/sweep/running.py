@@ -33,8 +33,8 @@ from simbias.trial.study import Study
 from simbias.trial.summary import Outcome
 
 NOT_CONCURRENT = (
-    "has workers, which would move {0} at once and be killed without its stop(): use engine=sequential (or, "
-    "if {0} is a simulation, set its attribute concurrent = True)"
+    "several trials would use {0} at the same time, in processes that may be killed without its stop(): use "
+    "engine=sequential (or, if {0} is a simulation, set its attribute concurrent = True)"
 )
 
 

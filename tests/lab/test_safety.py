@@ -81,6 +81,14 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(prediction, "DRAWS", 2)
 
 
+def test_an_instance_may_say_that_it_is_concurrent(point_mass: Study) -> None:
+    """Though its class has a stop()."""
+    robot = Stoppable(point_mass.task)  # type: ignore[arg-type]
+    assert not robot.concurrent
+    robot.concurrent = True
+    assert robot.concurrent
+
+
 def experiment(study: Study, safety: Safety, hardware: type = Stoppable) -> tuple[Rollout, int]:
     """An experiment under limits, and how often the hardware was stopped."""
     robot = hardware(study.task)

@@ -23,7 +23,7 @@ from simbias.config.identity import identity_fields
 from simbias.core import HardwareError, Model, Quantity, StudyWarning, Task, wrapped
 from simbias.core.quantities import unwound
 from simbias.core.records import Array, Rollout
-from simbias.core.robot import check_quantities
+from simbias.core.robot import check_quantities, check_starts
 from simbias.lab.checks import check_rollout
 from simbias.simulation.compiled import CompiledSimulator
 from simbias.simulation.compiler import Expressions
@@ -402,6 +402,10 @@ def test_what_cannot_be_meant_is_refused() -> None:
     half = {"angle": {"unit": "rad", "uniform": [0, 2]}}
     with pytest.warns(StudyWarning, match=r"the task fails at \d\d of 100 drawn starts: falls"):
         build_task({**CARTPOLE, "states": CARTPOLE["states"] | half}, NOTHING)
+    task = build_task(CARTPOLE, NOTHING)
+    task.outputs = ()  # as of an own class
+    with pytest.raises(ValueError, match=r"^output of 100 states: expected shape \(100, 0\), got"):
+        check_starts(task)
 
 
 def test_a_reference_that_cannot_be_meant_is_refused(tmp_path: Path) -> None:

@@ -387,7 +387,7 @@ def test_own_components_are_swept(folder: Path) -> None:
     assert run(*robot, "sweep.dry_run=true", "engine=loky", folder=folder)[::2] == (0, "")
     status, _, err = run(*robot, "engine=loky", folder=folder)
     assert status == 2
-    assert err.startswith("simbias: engine: has workers, which would move Stoppable at once")
+    assert err.startswith("simbias: engine: several trials would use Stoppable at the same time, ")
 
 
 def test_live_view_fills() -> None:
