@@ -75,9 +75,7 @@ def check_starts(task: Task) -> None:
     with np.errstate(all="ignore"):
         outputs = np.asarray(task.output(starts[~failed]))
     if outputs.shape != (expected := (int(np.sum(~failed)), len(task.outputs))):
-        raise ValueError(
-            f"output of {expected[0]} states: expected shape {expected}, got {outputs.shape}"
-        )
+        raise ValueError(f"output of {expected[0]} states: expected shape {expected}, got {outputs.shape}")
     wrong = ~np.isfinite(outputs).T
     names = dict.fromkeys(task.failure(start) or "" for start in starts[failed])
     found = [(failed, f"the task fails at {{}} drawn starts: {', '.join(names)}")]

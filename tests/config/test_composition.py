@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from errors import one_line
+from omegaconf import OmegaConf
 from shipped import shipped
 from texts import write
 
@@ -14,6 +15,7 @@ import simbias
 from simbias.config import ConfigError, compose, options
 from simbias.config.components import component_class, constructor_parameters
 from simbias.config.conditions import split
+from simbias.config.hydra_config import set_value
 from simbias.config.renamed import RENAMED, new_name
 from simbias.core.errors import LONGEST_KEY
 from simbias.core.messages import LONGEST
@@ -84,6 +86,16 @@ def test_bad_override() -> None:
         assert error.value.key.startswith(key), override
         assert problem in error.value.problem, override
         assert len(str(error.value)) < LONGEST + LONGEST_KEY + 3
+
+
+def test_an_axis_may_set_the_last_value_of_a_list() -> None:
+    """A key below a value that refers to nothing is refused in one line."""
+    config = OmegaConf.create({"list": [1, 2], "other": "${none}"})
+    OmegaConf.set_struct(config, True)
+    set_value(config, "list.-1", 3)
+    assert config.list == [1, 3]
+    with pytest.raises(ConfigError, match=r"^other\.part: no such key"):
+        set_value(config, "other.part", 3)
 
 
 @pytest.mark.slow

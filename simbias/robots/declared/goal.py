@@ -201,7 +201,7 @@ def check_rows(reference: Reference, goals: Sequence[Quantity], file: str) -> No
             f"reference {quote(file)}, row of t = {rows[row + 1]:.4g} s, column {goals[column].name}: "
             f"{after:.4g} is more than half a turn from {before:.4g}; write {near:.4g}, or add rows between"
         )
-    if len(rows) < SAMPLED or np.ptp(np.diff(rows)) > 0.01 * rows[1]:
+    if len(rows) < SAMPLED or np.ptp(np.diff(rows)) > 0.01 * (rows[1] - rows[0]):
         return
     for row, column, change in _jumps(reference, goals, rows)[:1]:
         words = f"within {BRIEF} rows of {quote(file)}, after t = {rows[row]:.4g} s: is it a step?"
