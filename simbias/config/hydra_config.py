@@ -85,9 +85,9 @@ def set_value(config: DictConfig, key: str, value: Any) -> None:
     from omegaconf.errors import ConfigAttributeError, ConfigKeyError
 
     whole, _, part = key.rpartition(".")
-    if whole and not re.fullmatch(r"-?\d+", part):
-        if OmegaConf.is_list(OmegaConf.select(config, whole, throw_on_resolution_failure=False)):
-            raise ConfigError(whole, f"is a list: {whole}.0=... sets its first value")
+    held = OmegaConf.select(config, whole, throw_on_resolution_failure=False) if whole else None
+    if OmegaConf.is_list(held) and not re.fullmatch(r"-?\d+", part):
+        raise ConfigError(whole, f"is a list: {whole}.0=... sets its first value")
     try:
         opened = _is_whole(key, value) and OmegaConf.select(config, key) is not None
         force_add = key.startswith("+") or opened

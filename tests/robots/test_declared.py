@@ -348,15 +348,15 @@ def test_what_cannot_be_meant_is_refused() -> None:
         ),
         (
             {"success": {"far": {"value": "abs( position )", "above": 2}}, "hold": 1.0},
-            "success cannot hold: no value of position fits success.far and failure.leaves",
+            "success cannot hold: no value of position meets success.far without failure.leaves",
         ),
         (
             {"success": {"far": {"value": "-position", "above": 1}, **CONTRARY}, "hold": 1.0},
-            "no value of position fits success.more and success.less and failure.leaves",
+            "no value of position meets success.more and success.less without failure.leaves",
         ),
         (
             {"success": {"none": {"value": "abs(d_angle)", "below": 0}}, "hold": 1.0},
-            "no value of d_angle fits success.none",
+            "no value of d_angle meets success.none",
         ),
         (
             {"success": {"root": {"value": "sqrt(-1 - d_angle**2)", "above": -1}}, "hold": 1.0},

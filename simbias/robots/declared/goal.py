@@ -261,7 +261,9 @@ class Success:
             values = np.concatenate([ends, (ends[1:] + ends[:-1]) / 2, 2 * ends[[0, -1]] + [-1.0, 1.0]])
             met = [(_margin(keyed[key], values) > 0) == (key in own) for key in keys]
             if keys[0] in own and not np.all(met, axis=0).any():
-                raise ValueError(f"success cannot hold: no value of {expression} fits {' and '.join(keys)}")
+                kept, avoided = ([key for key in keys if (key in own) == is_own] for is_own in (True, False))
+                words = " and ".join(kept) + (" without " + " or ".join(avoided)) * bool(avoided)
+                raise ValueError(f"success cannot hold: no value of {expression} meets {words}")
 
     def check_numbers(self, states: Array, times: Array, errors: Array) -> None:
         """Refuse conditions that are not a number in any of these states (k, .)."""
