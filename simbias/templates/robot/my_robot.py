@@ -106,7 +106,10 @@ class Robot(Hardware):
         )
 
     def stop(self) -> None:
-        """Bring the robot to rest: an experiment took too long, or a limit was exceeded."""
+        """Bring the robot to rest: an experiment took too long, or a limit was exceeded.
+
+        A sweep then needs `engine=sequential`. Delete this method if the robot is only simulated.
+        """
 
     def _move(self, x: Array, u: Array) -> Array:
         """State (2,) a frame after x (2,) under u (1,), with the cable and the friction."""
