@@ -59,7 +59,7 @@ def verdict(assessment: Assessment) -> str:
 
 
 def beginning(assessment: Assessment) -> str:
-    """What precedes the overrides that begin a trial with a model that is better than the nominal one."""
+    """The words before the overrides of a trial with a model that is better than the nominal one."""
     if assessment.mistakes:
         return "Before a trial, correct the recordings and identify again; to start one anyway:"
     if not assessment.trusted:
