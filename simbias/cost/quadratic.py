@@ -63,10 +63,12 @@ class Quadratic(Cost):
 
 
 def _check_goal(task: Task, weights: Array) -> None:
-    """Refuse weights (n,) of states whose goal is not zero."""
+    """Refuse weights (n,) of states whose goal is not zero, also if it depends on targets."""
     weighted = {state.name for state, weight in zip(task.states, weights, strict=True) if weight}
     times = task.time_step * np.arange(task.horizon + 1)
-    goal = np.broadcast_to(task.reference(times), (len(times), len(task.goals)))
+    elsewhere = np.tile(task.targets_in(task.start_mean) + 1.0, (len(times), 1))
+    goal = task.reference(times, elsewhere) if task.targets else task.reference(times)
+    goal = np.broadcast_to(goal, (len(times), len(task.goals)))
     for quantity, values in zip(task.goals, goal.T, strict=True):
         if quantity.name in weighted and values.any():
             raise ValueError(

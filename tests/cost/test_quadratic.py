@@ -218,8 +218,10 @@ def test_what_it_does_not_know_is_refused() -> None:
             Saturating(task, widths, 0.5)
     with pytest.raises(ValueError, match=r"^cost\.widths\.angle: must be greater than or equal to 0"):
         simbias.load(["preset=pendulum_swingup", "tracking=none", "cost.widths.angle=-1"])
-    with pytest.raises(ValueError, match=r"state_weights: angle would be weighted .*; cost=tracking weights"):
-        Quadratic(declared(goal={"angle": "0.01 * t"}), 1.0, {"angle": 1.0}, {}, 1.0)
+    drawn = {"goal": {"angle": "place"}, "targets": {"place": {"unit": "rad", "deviation": 0.1}}}
+    for changes in {"goal": {"angle": "0.01 * t"}}, drawn:
+        with pytest.raises(ValueError, match=r"state_weights: angle would be weighted .*; cost=tracking wei"):
+            Quadratic(declared(**changes), 1.0, {"angle": 1.0}, {}, 1.0)
     Quadratic(declared(goal={"angle": "0.01 * t"}), 1.0, {"position": 1.0}, {}, 1.0)
     with pytest.raises(ValueError, match="running: 'power'"):
         Declared(task, 1.0, 1.0, running="power")
