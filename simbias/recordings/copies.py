@@ -68,8 +68,11 @@ def copied(piece: Rollout, known: Collection[Digest]) -> Flags:
     found = np.zeros(piece.frames, bool)
     for frames in {each.frames for each in known if each.frames <= piece.frames}:
         blocks = Blocks(piece.states, frames)
-        same = [blocks.same(each) for each in known if each.frames == frames]
-        for start in np.flatnonzero(np.any(same, axis=0)).tolist():
+        same = np.zeros(len(blocks.tell), bool)
+        for each in known:
+            if each.frames == frames:
+                same |= blocks.same(each)
+        for start in np.flatnonzero(same).tolist():
             found[start : start + frames] = True
     return found
 
