@@ -99,13 +99,15 @@ class PolicyTestResult:
 
     @property
     def uptime(self) -> float:
-        """Mean uptime of the episodes; nan if the task states no conditions of success."""
-        return float(np.mean([each.uptime for each in self.episodes]))
+        """Mean uptime of the episodes, without long ones if there are others; nan without conditions."""
+        usual = [each for each in self.episodes if each.asked_seconds <= self.horizon]
+        return float(np.mean([each.uptime for each in usual or self.episodes]))
 
     @property
     def words(self) -> str:
         """The result in one sentence."""
-        uptime = "" if np.isnan(self.uptime) else f"; mean uptime {self.uptime:.0%}"
+        of_usual = f" in {self.horizon:g} s" * (0 < len(self.long_episodes) < len(self.episodes))
+        uptime = "" if np.isnan(self.uptime) else f"; mean uptime {self.uptime:.0%}{of_usual}"
         succeeded = counted_share(self.successes.count("1"), len(self.episodes))
         lasting, count = all(each.succeeds is None for each in self.episodes), len(self.long_episodes)
         does = "lasts without a failure" if lasting else "succeeds"

@@ -73,7 +73,7 @@ class TrialSummary:
     success_rate: float = nan  # share of test episodes
     long_success_rate: float = nan  # share of the long test episodes
     long_seconds: float = nan  # mean duration of the long test episodes
-    uptime: float = nan  # mean over the test episodes
+    uptime: float = nan  # mean over the test episodes, without long ones if there are others
     policy: str = ""  # a digest of the last policy's parameters
     test_words: str = ""  # the test in one sentence
     claim: str = ""  # by its experiments, about the last policy: holds 90% of starts (80% to 96%)

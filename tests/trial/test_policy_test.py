@@ -132,7 +132,8 @@ def test_its_result_in_numbers_and_words() -> None:
     assert "they last 34 s on average" in result.words
     shares = tuple(each._replace(uptime=share) for each, share in zip(episodes, (0.5, 0.3, 0.1), strict=True))
     up = PolicyTestResult(5.0, shares)
-    assert up.words == result.words.replace(" on average).", " on average); mean uptime 30%.")
+    assert up.words == result.words.replace(" on average).", " on average); mean uptime 10% in 5 s.")
+    assert PolicyTestResult(5.0, shares[:2]).uptime == pytest.approx(0.4)
     table = episodes_csv(up, study().task).splitlines()
     assert [row.rsplit(",", 1)[1] for row in table] == ["uptime", "0.5", "0.3", "0.1"]
     rows = episodes_csv(result, study().task).splitlines()
