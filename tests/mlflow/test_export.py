@@ -420,6 +420,7 @@ def test_a_server_that_is_away_loses_nothing_and_stops_nothing(
     assert [each["status"] for each in again.values()] == ["FINISHED"] * 2
     assert found.items() <= again.items()
     monkeypatch.setattr(runs, "RETRY_SECONDS", 0.0)
+    monkeypatch.setattr(runs, "RETRY_SHARE", 1e9)
     server = multiprocessing.get_context("fork").Process(target=serve, args=(folder, port), daemon=True)
 
     class Starting(Observer):
