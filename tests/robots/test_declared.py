@@ -283,15 +283,21 @@ def test_what_is_learned_from_does_not_jump_by_a_turn() -> None:
 
 
 def test_a_condition_that_counts_turns_is_said() -> None:
-    """Unless the angle fails before it has turned, or the condition is a bound on it."""
+    """Unless the angle fails before it has turned, or the condition bounds it beyond half a turn."""
     states = CARTPOLE["states"] | {"angle": {"unit": "rad", "wraps": True}}
-    turned = {"falls": {"value": "lean", "above": 9.0}}
+    turned = {"falls": {"value": "lean", "above": 90.0}}
+    winds = {"winds": {"value": "angle - pi", "above": 20.0}, "back": {"value": "angle", "below": -20.0}}
+    leans = {"left": {"value": "angle", "above": 1.0}, "right": {"value": "angle", "below": -1.0}}
     for failure, value, said in (
         (None, "abs(angle)", "success.up"),
         (None, "lean", "success.up"),
         (turned, "angle_error", "failure.falls"),
         ({"winds": {"value": "abs(angle)", "above": 9.0}}, "angle_error + abs(sin(angle))", None),
         ({"falls": {"value": "abs(angle)", "above": 1.0}}, "abs(angle)", None),
+        (winds, "angle_error", None),
+        (leans, "abs(angle)", None),
+        ({"falls": {"value": "cos(angle)", "below": 0.0}}, "lean", None),
+        ({"left": leans["left"]}, "abs(angle)", "success.up"),
     ):
         options = {"states": states, "where": {"lean": "angle**2"}, "failure": failure, "hold": 1.0}
         with warnings.catch_warnings(record=True) as caught:
@@ -450,3 +456,5 @@ def test_a_reference_that_cannot_be_meant_is_refused(tmp_path: Path) -> None:
         warnings.simplefilter("error")
         of_angles(np.cumsum(np.full(64, 170.0)))
         of_angles(90 * np.sin(0.5 * np.arange(64)))
+        rows = "".join(f"{row},{row // 4 % 2}\n" for row in range(12))  # of which each takes a second
+        declared(reference=table(tmp_path, f"t,position\n{rows}"), failure=None)

@@ -14,7 +14,6 @@ import numpy as np
 from simbias.core import Criterion, HardwareError, Quantity, StudyWarning, wrapped
 from simbias.core.files import sought
 from simbias.core.messages import quote
-from simbias.core.quantities import TURNS
 from simbias.core.records import Array
 from simbias.core.table import read_table
 from simbias.robots.declared.declarations import Failure, criterion_of
@@ -24,7 +23,7 @@ TIME = "t"  # the name of time in expressions and of its column
 MOST_ROWS = 400  # of a file: each row is an operation of the compiled loop
 LONG = 100.0  # episodes: a longer file may have its time in ms
 MANY_TURNS = 2  # a larger angle may be in degrees
-SAMPLED = 10  # rows: a file with as many, evenly spaced, is a sampled curve
+SAMPLED = 10  # rows: a file with as many, evenly spaced by as many frames at most, is a sampled curve
 BRIEF = 2  # frames, or rows of a sampled curve; the duration of a jump
 JUMP = 0.1  # least share of the range, and
 STEEP = 4.0  # least factor relative to the motion in as many frames before or after
@@ -148,24 +147,33 @@ def warn_of_degrees(reference: Reference, goals: Sequence[Quantity], seconds: fl
 
 
 def warn_of_turns(
-    expressions: Mapping[str, str], states: Sequence[Quantity], criteria: Sequence[Criterion]
+    where: Mapping[str, str], conditions: Mapping[str, Failure], turning: Mapping[str, float]
 ) -> None:
     """Warn if a condition uses an angle that wraps outside of sin and cos, where its turns count.
 
-    Expressions are named ones, then conditions by their keys. An angle that fails within half a turn makes
-    no turns.
+    Conditions are named by their keys; `where` holds expressions that they may use, and `turning` half a turn
+    of each angle that may make one. A bound beyond half a turn on an angle is meant to count turns.
     """
-    bounds = {name: bound for each in criteria for name, bound in each.bounds.items()}
-    half = {each.name: TURNS.get(each.unit, 0.0) / 2 for each in states if each.wraps}
-    turning = {name: name for name in half if bounds.get(name, np.inf) > half[name]}
-    for key, text in expressions.items():
-        for name in sorted(turning.keys() & _outside(text)):
-            turning[key] = turning[name]
-    for key in [key for key in turning if "." in key][:1]:
-        angle = turning[key]
+    angles = {name: name for name in turning}
+    for key, text in (*where.items(), *((key, each.value) for key, each in conditions.items())):
+        for name in sorted(angles.keys() & _outside(text)):
+            angles[key] = angles[name]
+    meant = {key for key, each in conditions.items() if _bounds_turns(each, turning)}
+    for key in [key for key in conditions if key in angles.keys() - meant][:1]:
+        angle = angles[key]
         words = f"{key} uses {angle}, which wraps, with its turns, so that a whole turn is not zero; "
         words += f"sin({angle}), cos({angle}) and the goal's error leave them out"
         warnings.warn(words, StudyWarning, stacklevel=4)
+
+
+def _bounds_turns(condition: Failure, turning: Mapping[str, float]) -> bool:
+    """Whether a condition bounds an angle, or its distance from something, beyond half a turn."""
+    part = ast.parse(_within(condition.value)[0], mode="eval").body
+    sides: list[ast.expr] = [part]
+    if isinstance(part, ast.BinOp) and isinstance(part.op, ast.Add | ast.Sub):
+        sides = [part.left, part.right]
+    halves = [turning.get(each.id, np.inf) for each in sides if isinstance(each, ast.Name)]
+    return any(abs(_bound(condition)) > half for half in halves)
 
 
 def _outside(text: str) -> set[str]:
@@ -190,7 +198,7 @@ def check_jumps(reference: Reference, goals: Sequence[Quantity], time_step: floa
         )
 
 
-def check_rows(reference: Reference, goals: Sequence[Quantity], file: str) -> None:
+def check_rows(reference: Reference, goals: Sequence[Quantity], file: str, time_step: float) -> None:
     """Refuse rows between which an angle that wraps jumps, and warn of a step between sampled rows."""
     rows, turns = reference.rows, np.array([goal.turn for goal in goals])
     values, half = reference(rows), np.where(turns, 0.501 * turns, np.inf)
@@ -201,7 +209,8 @@ def check_rows(reference: Reference, goals: Sequence[Quantity], file: str) -> No
             f"reference {quote(file)}, row of t = {rows[row + 1]:.4g} s, column {goals[column].name}: "
             f"{after:.4g} is more than half a turn from {before:.4g}; write {near:.4g}, or add rows between"
         )
-    if len(rows) < SAMPLED or np.ptp(np.diff(rows)) > 0.01 * (rows[1] - rows[0]):
+    spacing = rows[1] - rows[0]
+    if len(rows) < SAMPLED or np.ptp(np.diff(rows)) > 0.01 * spacing or spacing > 1.01 * SAMPLED * time_step:
         return
     for row, column, change in _jumps(reference, goals, rows)[:1]:
         words = f"within {BRIEF} rows of {quote(file)}, after t = {rows[row]:.4g} s: is it a step?"

@@ -11,9 +11,10 @@ from pydantic import Field
 
 from simbias.core import Quantity, Task
 from simbias.core.files import ConfigFile
+from simbias.core.quantities import TURNS
 from simbias.core.ranges import Coordinate, Frames, Seconds, TimeStep
 from simbias.core.records import Array
-from simbias.core.robot import varied_states
+from simbias.core.robot import DRAWN, varied_states
 from simbias.robots.declared.declarations import (
     DrawnPart,
     Failure,
@@ -41,6 +42,8 @@ from simbias.robots.mujoco.figure import Figure, FigureFile
 from simbias.robots.mujoco.rendering import Image
 from simbias.robots.mujoco.sensors import SensorFile, Sensors
 from simbias.simulation.compiler import Expression, Expressions
+
+SHARES = np.linspace(0.0, 1.0, 361)  # of a turn: where failures are sought
 
 
 class Declared(Task):
@@ -219,7 +222,7 @@ class Declared(Task):
         warn_of_degrees(self._reference, self._goals, seconds)
         check_jumps(self._reference, self._goals, self.time_step)
         if file is not None:
-            check_rows(self._reference, self._goals, file)
+            check_rows(self._reference, self._goals, file, self.time_step)
 
     def _set_success(
         self, success: Mapping[str, Failure], hold: float | None, failure: Mapping[str, Failure]
@@ -253,11 +256,36 @@ class Declared(Task):
 
     def _warn_of_turns(self, failure: Mapping[str, Failure], success: Mapping[str, Failure]) -> None:
         """Warn if a condition counts the turns of an angle; a failure's `abs` of an angle may mean to."""
-        named = {**self._known["where"], **{f"success.{name}": each.value for name, each in success.items()}}
+        if not any(each.wraps for each in self.states):
+            return
+        conditions = {f"success.{name}": each for name, each in success.items()}
         for criterion, each in zip(self.criteria, failure.values(), strict=True):
             if not criterion.bounds:
-                named[f"failure.{criterion.name}"] = each.value
-        warn_of_turns(named, self.states, self.criteria)
+                conditions[f"failure.{criterion.name}"] = each
+        warn_of_turns(self._known["where"], conditions, self._turning())
+
+    def _turning(self) -> dict[str, float]:
+        """Half a turn of each angle that may make a whole one: no failure stops it, whatever the others."""
+        rng, turning = np.random.default_rng(0), dict[str, float]()
+        starts = np.array([self.draw_start(rng) for _ in range(DRAWN)])
+        begun = starts[self.violated(starts) < 0]
+        for index, each in enumerate(self.states if len(begun) else ()):
+            if not each.wraps:
+                continue
+            turn = TURNS.get(each.unit, 0.0)
+            ways = (begun[:, index].max() + turn * SHARES, begun[:, index].min() - turn * SHARES)
+            last, first = (self._last(index, way) for way in ways)
+            if turn < last - first:
+                turning[each.name] = turn / 2
+        return turning
+
+    def _last(self, index: int, values: Array) -> float:
+        """The last value (k,) of a state on a way along which the task fails nowhere, whatever the others."""
+        x = np.full((len(values), len(self._known["variables"])), np.nan)
+        x[:, index] = values
+        limits = np.array([criterion.limit for criterion in self.criteria])
+        failing = np.flatnonzero((self._measure(x) > limits).any(axis=1))
+        return float(values[max(failing.min(initial=len(values)) - 1, 0)])
 
     def _measures(self, key: str, conditions: Mapping[str, Failure], names: Sequence[str]) -> Expressions:
         """Measures that exceed the limits of conditions if these hold."""
