@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import unicodedata
 import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any, final
@@ -59,14 +60,16 @@ class Declared(Cost):
         """Refuse an expression that is not finite in any of many states; warn if all are constant."""
         x = varied_states(self._task)
         t = np.linspace(0.0, self.horizon * self.time_step, len(x))
-        u = np.random.default_rng(0).uniform(-1.0, 1.0, (len(x), len(self._task.inputs)))
-        u *= input_scale(self._task)
+        scale, (lower, upper) = input_scale(self._task), self._task.input_bounds
+        lower, upper = np.maximum(lower, -scale), np.minimum(upper, scale)
+        u = np.random.default_rng(0).uniform(lower, upper, (len(x), len(scale)))
         values = self._expressions(np.column_stack([x, u, t, self._task.error(x, t)]))
         for name, each in zip(texts, values.T, strict=True):
             if not np.isfinite(each).any():
                 raise ValueError(f"{name} is not finite in any of {len(x)} states")
+        used = {unicodedata.normalize("NFKC", name) for name in names}  # as in Python's expressions
         parts = (part for text in texts.values() for part in ast.walk(ast.parse(text.strip())))
-        if {part.id for part in parts if isinstance(part, ast.Name)}.isdisjoint(names):
+        if {part.id for part in parts if isinstance(part, ast.Name)}.isdisjoint(used):
             words = "the cost is constant: policies differ only by when they fail"
             warnings.warn(words, StudyWarning, stacklevel=3)
 

@@ -12,6 +12,7 @@ from simbias.core.records import Array, Indices
 from simbias.cost.weights import Weights, weights_of
 
 LARGEST = 1e100  # of a peak: within a frame, a simulated state may grow until its square overflows
+ROUNDING = 1e-9  # a goal no further from zero, as that of a file, is zero
 
 
 class Quadratic(Cost):
@@ -70,7 +71,7 @@ def _check_goal(task: Task, weights: Array) -> None:
     goal = task.reference(times, elsewhere) if task.targets else task.reference(times)
     goal = np.broadcast_to(goal, (len(times), len(task.goals)))
     for quantity, values in zip(task.goals, goal.T, strict=True):
-        if quantity.name in weighted and values.any():
+        if quantity.name in weighted and not (np.abs(values) <= ROUNDING).all():
             raise ValueError(
                 f"state_weights: {quantity.name} would be weighted from zero, but its goal is not zero; "
                 "cost=tracking weights errors of the goal"

@@ -1,5 +1,6 @@
 """Costs: their formulas, of goals that move too, and compiled sums that are those of the records."""
 
+import warnings
 from dataclasses import replace
 from itertools import product
 from typing import Any
@@ -223,12 +224,18 @@ def test_what_it_does_not_know_is_refused() -> None:
         with pytest.raises(ValueError, match=r"state_weights: angle would be weighted .*; cost=tracking wei"):
             Quadratic(declared(**changes), 1.0, {"angle": 1.0}, {}, 1.0)
     Quadratic(declared(goal={"angle": "0.01 * t"}), 1.0, {"position": 1.0}, {}, 1.0)
+    Quadratic(declared(goal={"angle": "sin(pi)"}), 1.0, {"angle": 1.0}, {}, 1.0)  # zero but for rounding
     with pytest.raises(ValueError, match="running: 'power'"):
         Declared(task, 1.0, 1.0, running="power")
     with pytest.raises(ValueError, match="running is not finite in any of 100 states"):
         Declared(task, 1.0, 1.0, running="sqrt(-1 - angle**2)")
     with pytest.warns(StudyWarning, match="the cost is constant: policies differ only by when they fail"):
         Declared(task, 1.0, 1.0, running="1")
+    propellers = {f"µ{index}": {"unit": "N", "limit": 6.0, "lower": 5.0} for index in range(8)}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        roots = " + ".join(f"sqrt({name} - 5)" for name in propellers)
+        Declared(declared(inputs=propellers), 1.0, 1.0, running=roots)
 
 
 def test_what_is_not_finite_costs_a_finite_number(study: Study) -> None:
