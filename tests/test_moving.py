@@ -2,13 +2,15 @@
 
 import re
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from figures import lines, texts
+from mechanisms import cart_pole
 
 import simbias
-from simbias.core import Task
+from simbias.core import Nominal, Task
 from simbias.core.records import Array, Disturbance, Rollout
 from simbias.cost.declared import Declared
 from simbias.pictures import NoPictureError, following, overview
@@ -17,6 +19,7 @@ from simbias.policy.trajectory import Trajectory
 from simbias.search.optimizer.following import Following
 from simbias.search.optimizer.ilqr import Shooting
 from simbias.simulation.closed_loop import simulator
+from simbias.simulation.goal import goal_held
 from simbias.simulation.numpy_loop import PlainSimulator
 from simbias.trial.diagnostics import of_experiments, of_goal, of_prediction
 from simbias.trial.steps import Stopwatch, iteration_record
@@ -160,7 +163,7 @@ def test_a_plan_that_misses_the_goal_is_told_why() -> None:
         study = simbias.load(["preset=pendulum_swingup", *options, *more])
         frames = len(states) - 1
         inputs = np.where(np.arange(frames) < frames / 2, 0.8, 0.5)[:, None] * study.task.input_limit
-        (remark,) = of_goal(Rollout(states, inputs), study.first_model())
+        (remark,) = of_goal(Rollout(states, inputs), study.first_model(), planned=True)
         return remark.words.partition("; inputs ")[2]
 
     spinning = "+task.success.spins={value: d_angle, above: 1.0}"
@@ -174,6 +177,57 @@ def test_a_plan_that_misses_the_goal_is_told_why() -> None:
     assert told(nearer, spinning) == limits + more  # nothing leads there
     reached = nearer * 0.5 ** np.linspace(0.0, 20.0, T + 1)[:, None]
     assert told(reached, spinning) == limits + more
+    within = "+task.inputs.torque.lower=1.5"  # at least 80% of it: a plan's inputs may not be smaller
+    assert told(nearer, within).startswith("are at the planner's limits (80% of the task's) in 100%")
+    searched = ["preset=pendulum_swingup", *options, "method=direct_search", "~method.target_cost"]
+    study = simbias.load(searched)
+    (remark,) = of_prediction(np.zeros(study.policy.n_parameters), study.first_model(), study)
+    assert remark.words.endswith("; inputs are at their limits in 0% of the frames")  # nothing was planned
+
+
+@pytest.mark.parametrize(
+    ("states", "inputs", "goal", "slopes", "is_held"),
+    [
+        ({"z": "m", "v": "m/s"}, (0.0, 5.0), {"z": "1"}, lambda x, u: [x[1], 2 * u[0] - 9.8], True),
+        ({"z": "m", "v": "m/s"}, (0.0, 4.5), {"z": "1"}, lambda x, u: [x[1], 2 * u[0] - 9.8], False),
+        ({"level": "m"}, (0.0, 1.0), {"level": "0.05"}, lambda x, u: [u[0] - np.sqrt(x[0])], True),
+        ({"heat": "K"}, (0.0, 100.0), {"heat": "4"}, lambda x, u: [u[0] - 0.5 * x[0]], True),
+        (
+            {"z": "m", "v": "m/s", "rotor": "rad/s"},
+            (0.0, 400.0),
+            {"z": "1"},
+            lambda x, u: [x[1], 1e-3 * x[2] ** 2 - 9.8, 20 * (u[0] - x[2])],
+            True,
+        ),
+        (
+            {"z": "m", "v": "m/s"},
+            (0.0, 4.5),
+            {"z": "1"},
+            lambda x, u: [x[1], 2 * u[0] - 9.8 + (x[0] < 1) * (500 * (1 - x[0]) - 20 * x[1])],
+            True,
+        ),
+    ],
+    ids=["near the limit", "too weak", "no slope", "near no input", "a rotor turns", "on a floor"],
+)
+def test_a_goal_is_held_near_limits_and_with_rates_that_it_leaves_free(
+    states: dict[str, str], inputs: tuple[float, float], goal: dict[str, str], slopes: Any, is_held: bool
+) -> None:
+    """A success elsewhere says that no goal is meant."""
+    (lower, limit), first = inputs, next(iter(states))
+    drive = {"unit": "N", "limit": limit, "lower": lower}
+    units = {name: {"unit": unit} for name, unit in states.items()}
+    options = {"states": units, "inputs": {"drive": drive}, "failure": None, "hold": 0.5}
+    near = {"near": {"value": f"abs({first}_error)", "below": 0.1}}
+    task = cart_pole(**options, goal=goal, success=near)
+
+    class Slopes(Nominal):
+        def step(self, x: Array, u: Array) -> Array:
+            moved = slopes(np.moveaxis(x, -1, 0), np.moveaxis(u, -1, 0))
+            return x + task.time_step * np.stack(moved, axis=-1)
+
+    assert goal_held(task, Slopes()) == is_held
+    elsewhere = {"far": {"value": first, "above": 100.0}}
+    assert goal_held(cart_pole(**options, goal=goal, success=elsewhere), Slopes())
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ import warnings
 import numpy as np
 
 from simbias.core import Nominal, StudyWarning, Task, wrapped
-from simbias.core.quantities import unwound
+from simbias.core.quantities import rate_pairs, unwound
 from simbias.core.records import Array
 from simbias.simulation.linearization import STEP, input_scale, linearization
 
@@ -69,18 +69,38 @@ def holding(task: Task, nominal: Nominal, x: Array) -> Array:
 
 
 def held(task: Task, nominal: Nominal, x: Array) -> bool:
-    """Whether inputs within the limits can hold states x (n,)."""
-    u, limit = holding(task, nominal, x), input_scale(task)
-    B = linearization(nominal.without_dry_friction(), x, u, limit)[1]
-    moved = np.abs(nominal.step(x, u) - x).max()
-    return bool(moved <= SLIGHT * np.abs(B * limit).max())
+    """Whether inputs within the limits can hold states x (n,); true if the model has no slope there."""
+    from scipy.optimize import lsq_linear  # lazily, as above
+
+    limit, (lower, upper) = input_scale(task), task.input_bounds
+    with np.errstate(all="ignore"):  # a model may have no slope there, as the root of a level of zero
+        u = holding(task, nominal, x)
+        B = linearization(nominal.without_dry_friction(), x, u, limit)[1]
+        moved = nominal.step(x, u) - x
+        if not (np.isfinite(B).all() and np.isfinite(moved).all()):
+            return True
+        nearer = nominal.step(x, u + lsq_linear(B, -moved, (lower - u, upper - u)).x) - x  # up to the limits
+    least = min(np.abs(each).max() for each in (moved, nearer) if np.isfinite(each).all())
+    return bool(least <= SLIGHT * np.abs(B * limit).max())
 
 
 def goal_held(task: Task, nominal: Nominal) -> bool:
-    """Whether inputs can hold the goal; also true if it moves, or leaves positions free."""
+    """Whether inputs can hold the goal, with its positions at rest.
+
+    Also true if it moves, leaves other states free, or is not where the task succeeds: none may be declared.
+    """
     goal = goal_along(task)
     named = dict(zip((each.name for each in task.goals), goal[0], strict=True))
-    free = [each for each in task.states if each.name not in named and not each.is_rate]
+    pairs = rate_pairs(task.states)
+    rests = {task.states[rate].name for position, rate in pairs if task.states[position].name in named}
+    free = [each for each in task.states if each.name not in named.keys() | rests]
     if moves(goal) or free or task.targets:
         return True
-    return held(task, nominal, np.array([named.get(each.name, 0.0) for each in task.states]))
+    x = np.array([named.get(each.name, 0.0) for each in task.states])
+    if task.succeeds(np.tile(x, (task.horizon + 1, 1))) is False or held(task, nominal, x):
+        return True
+    states, u = [x], holding(task, nominal, x)
+    with np.errstate(all="ignore"):
+        while len(states) <= task.horizon and np.isfinite(states[-1]).all():
+            states.append(nominal.step(states[-1], u))  # on a floor, a robot stays near its goal
+    return len(states) > task.horizon and task.succeeds(np.array(states)) is True

@@ -72,8 +72,8 @@ def of_policy(
         )
 
 
-def of_goal(rollout: Rollout, model: Model) -> Iterator[Remark]:
-    """Why a rollout simulated on a model does not succeed, if its task defines success."""
+def of_goal(rollout: Rollout, model: Model, planned: bool = False) -> Iterator[Remark]:
+    """Why a rollout simulated on a model, perhaps planned, does not succeed, if its task defines success."""
     task = model.task
     if rollout.failure is not None:
         yield Remark(
@@ -88,21 +88,22 @@ def of_goal(rollout: Rollout, model: Model) -> Iterator[Remark]:
     yield Remark(
         "a policy does not reach the goal in simulation",
         f"this policy does not reach the goal in {seconds:g} s of simulation: {missed}; "
-        f"{_at_limits(rollout.inputs, model)}{_beyond_reach(rollout.states, model)}",
+        f"{_at_limits(rollout.inputs, model, planned)}{_beyond_reach(rollout.states, model, planned)}",
     )
 
 
-def _at_limits(inputs: Array, model: Model) -> str:
+def _at_limits(inputs: Array, model: Model, planned: bool) -> str:
     """In how many frames inputs (T, m) are at their limits, those of the planner for a plan, in words."""
-    share = SHARE if isinstance(model.policy, Trajectory) else 1.0
-    lower, upper = (share * limits for limits in model.task.input_bounds)
+    share = SHARE if planned else 1.0
+    lower, upper = model.task.input_bounds
+    lower, upper = np.maximum(lower, share * lower), np.minimum(upper, share * upper)
     slack = np.nan_to_num(0.01 * (upper - lower), posinf=0.0)  # an input may have no limit
     full = np.mean(((inputs <= lower + slack) | (inputs >= upper - slack)).any(axis=1))
     whose = "their limits" if share == 1.0 else f"the planner's limits ({share:.0%} of the task's)"
     return f"inputs are at {whose} in {full:.0%} of the frames"
 
 
-def _beyond_reach(states: Array, model: Model) -> str:
+def _beyond_reach(states: Array, model: Model, planned: bool) -> str:
     """Why states (T+1, n) miss the goal, and what may help, in words."""
     task = model.task
     if not goal_held(task, model.nominal):
@@ -110,7 +111,7 @@ def _beyond_reach(states: Array, model: Model) -> str:
     short = task.shortfalls(states)
     coming = (short[-1] < NEARER * short[: int(EARLIER * len(short))].min(axis=0, initial=np.inf)).all()
     late = "; it was still approaching, so the horizon may be too short" if coming else ""
-    random = isinstance(model.policy, Trajectory) and not moves(goal_along(task))
+    random = planned and not moves(goal_along(task))
     return late + "; a larger method.trajectories tries more plans" * random
 
 
@@ -189,7 +190,8 @@ def of_prediction(theta: Array, model: Model | None, study: Study) -> Iterator[R
         return
     rollout = _simulated_on(model, theta, model.task.start_mean, study.cost)
     if model.task.says_success:
-        yield from of_goal(rollout, model)
+        planned = isinstance(model.policy, Trajectory) and getattr(study.method, "trajectories", 0) > 0
+        yield from of_goal(rollout, model, planned)
     else:
         yield from of_starts(theta, model, study.cost)
     yield from of_model(theta, model, study.cost)
