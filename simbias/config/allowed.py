@@ -115,15 +115,20 @@ def leaves(config: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[tuple[Any,
 def _check_not_hidden(module: str, homes: Sequence[Path]) -> None:
     """Refuse a module that lies in one of the folders if Python imports another of the same name.
 
-    A copy with the same text, such as an installed one, is allowed.
+    A copy with the same lines, such as an installed one, is allowed.
     """
     imported = _file(module)
     for home in homes:
         file = _file(module, [str(home)])
-        if imported and file and file != imported and file.read_bytes() != imported.read_bytes():
+        if imported and file and file != imported and _lines(file) != _lines(imported):
             raise ConfigError(
                 str(file), f"Python imports {quote(module)} from {imported} instead; rename one of them"
             )
+
+
+def _lines(file: Path) -> list[bytes]:
+    """A file's lines, without their ends, which Git may change."""
+    return file.read_bytes().splitlines()
 
 
 def _file(module: str, path: Sequence[str] | None = None) -> Path | None:

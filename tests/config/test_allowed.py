@@ -92,7 +92,8 @@ def test_a_module_that_hides_one_beside_a_folder_is_refused(project: Path) -> No
 
 def test_copies_of_a_module_hide_nothing(project: Path) -> None:
     """Such as an installed package beside its source, or simbias beside another checkout of it."""
-    other = write(project / "other", {"beside.py": CLASS, "conf/bias/mine.yaml": "_target_: beside.Mine"})
+    copied = CLASS.replace("\n", "\r\n")  # as Git writes it on Windows
+    other = write(project / "other", {"beside.py": copied, "conf/bias/mine.yaml": "_target_: beside.Mine"})
     write(other, {"simbias/__init__.py": "", "simbias/cost/quadratic.py": "", "simbias/cost/__init__.py": ""})
     assert compose(["bias=mine", "preset=double_cartpole"], other / "conf", ["beside"])
 
