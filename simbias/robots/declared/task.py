@@ -27,17 +27,15 @@ from simbias.robots.declared.declarations import (
     measure_of,
     push_of,
 )
-from simbias.robots.declared.goal import (
+from simbias.robots.declared.reference import (
     Reference,
-    Success,
     check_jumps,
     check_rows,
     check_within,
-    success_names,
     warn_of_degrees,
-    warn_of_turns,
 )
 from simbias.robots.declared.starts import Starts, State
+from simbias.robots.declared.success import Success, success_names, warn_of_turns
 from simbias.robots.mujoco.figure import Figure, FigureFile
 from simbias.robots.mujoco.rendering import Image
 from simbias.robots.mujoco.sensors import SensorFile, Sensors

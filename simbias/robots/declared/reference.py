@@ -1,10 +1,8 @@
-"""The goal of a declared task, and its success conditions."""
+"""The goal of a declared task over time, as expressions or a file."""
 
 from __future__ import annotations
 
-import ast
 import warnings
-from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,7 +14,6 @@ from simbias.core.files import sought
 from simbias.core.messages import quote
 from simbias.core.records import Array
 from simbias.core.table import read_table
-from simbias.robots.declared.declarations import Failure, criterion_of
 from simbias.simulation.compiler import Expressions
 
 TIME = "t"  # the name of time in expressions and of its column
@@ -146,48 +143,6 @@ def warn_of_degrees(reference: Reference, goals: Sequence[Quantity], seconds: fl
             warnings.warn(words, StudyWarning, stacklevel=4)
 
 
-def warn_of_turns(
-    where: Mapping[str, str], conditions: Mapping[str, Failure], turning: Mapping[str, float]
-) -> None:
-    """Warn if a condition uses an angle that wraps outside of sin and cos, where its turns count.
-
-    Conditions are named by their keys; `where` holds expressions that they may use, and `turning` half a turn
-    of each angle that may make one. A bound beyond half a turn on an angle is meant to count turns.
-    """
-    angles = {name: name for name in turning}
-    for key, text in (*where.items(), *((key, each.value) for key, each in conditions.items())):
-        for name in sorted(angles.keys() & _outside(text)):
-            angles[key] = angles[name]
-    meant = {key for key, each in conditions.items() if _bounds_turns(each, turning)}
-    for key in [key for key in conditions if key in angles.keys() - meant][:1]:
-        angle = angles[key]
-        words = f"{key} uses {angle}, which wraps, with its turns, so that a whole turn is not zero; "
-        words += f"sin({angle}), cos({angle}) and the goal's error leave them out"
-        warnings.warn(words, StudyWarning, stacklevel=4)
-
-
-def _bounds_turns(condition: Failure, turning: Mapping[str, float]) -> bool:
-    """Whether a condition bounds an angle, or its distance from something, beyond half a turn."""
-    part = ast.parse(_within(condition.value)[0], mode="eval").body
-    sides: list[ast.expr] = [part]
-    if isinstance(part, ast.BinOp) and isinstance(part.op, ast.Add | ast.Sub):
-        sides = [part.left, part.right]
-    halves = [turning.get(each.id, np.inf) for each in sides if isinstance(each, ast.Name)]
-    return any(abs(_bound(condition)) > half for half in halves)
-
-
-def _outside(text: str) -> set[str]:
-    """The names that an expression uses outside of sin and cos."""
-    found, parts = set[str](), list[ast.AST]([ast.parse(text.strip(), mode="eval").body])
-    while parts:
-        part = parts.pop()
-        if isinstance(part, ast.Name):
-            found.add(part.id)
-        elif not (isinstance(part, ast.Call) and ast.unparse(part.func) in ("sin", "cos")):
-            parts += ast.iter_child_nodes(part)
-    return found
-
-
 def check_jumps(reference: Reference, goals: Sequence[Quantity], time_step: float) -> None:
     """Refuse a reference with jumps, which no robot can follow."""
     times = time_step * np.arange(round(reference.end / time_step) + 1, dtype=np.float64)
@@ -229,117 +184,3 @@ def _jumps(reference: Reference, goals: Sequence[Quantity], times: Array) -> lis
     least = np.maximum(JUMP * np.ptp(values, axis=0), ROUNDING)
     jumps = np.argwhere((moved > least) & (moved > STEEP * beside)).tolist()
     return [(i, j, f"{moved[i, j]:.3g} {goals[j].unit}".strip()) for i, j in jumps]
-
-
-class Success:
-    """Success conditions that must hold for the last seconds of an episode.
-
-    Besides states, expressions may use time t and `<name>_error` of each goal quantity.
-    """
-
-    def __init__(
-        self, conditions: Mapping[str, Failure], measures: Expressions, frames: int, seconds: float
-    ) -> None:
-        self._conditions = conditions
-        limits = [criterion_of(name, each, ()).limit for name, each in conditions.items()]
-        self._limits = np.array(limits)  # which the measures must exceed
-        self._measures = measures
-        self._frames, self._seconds = frames, seconds
-
-    def check_at(self, goal: Array) -> None:
-        """Refuse conditions on errors and time alone that do not hold at zero error.
-
-        The rows (k, .) have the times of the last frames and zero errors; states, which the goal may not
-        determine, are nan.
-        """
-        least = self._measures(goal).min(axis=0)
-        for (name, each), value, limit in zip(self._conditions.items(), least, self._limits, strict=True):
-            if value <= limit:
-                there = f"{each.value} is {_beside_bound(each, value, limit)} at the goal"
-                raise ValueError(f"success.{name} cannot hold: {there}")
-
-    def check_beside(self, failures: Mapping[str, Failure]) -> None:
-        """Refuse conditions on an expression or its `abs` that contradict each other or failure criteria."""
-        own = {f"success.{name}": each for name, each in self._conditions.items()}
-        keyed = own | {f"failure.{name}": each for name, each in failures.items()}
-        together = defaultdict[str, list[str]](list)
-        for key, each in keyed.items():
-            together[_within(each.value)[0]].append(key)
-        for expression, keys in together.items():
-            ends = np.unique([(0.0, _bound(keyed[key]), -_bound(keyed[key])) for key in keys])
-            values = np.concatenate([ends, (ends[1:] + ends[:-1]) / 2, 2 * ends[[0, -1]] + [-1.0, 1.0]])
-            met = [(_margin(keyed[key], values) > 0) == (key in own) for key in keys]
-            if keys[0] in own and not np.all(met, axis=0).any():
-                kept, avoided = ([key for key in keys if (key in own) == is_own] for is_own in (True, False))
-                words = " and ".join(kept) + (" without " + " or ".join(avoided)) * bool(avoided)
-                raise ValueError(f"success cannot hold: no value of {expression} meets {words}")
-
-    def check_numbers(self, states: Array, times: Array, errors: Array) -> None:
-        """Refuse conditions that are not a number in any of these states (k, .)."""
-        measures = self._measures(_rows_of(states, times, errors))
-        for name, each in zip(self._conditions, measures.T, strict=True):
-            if np.isnan(each).all():
-                raise ValueError(f"success.{name} is not a number in any of {len(states)} states")
-
-    def holds(self, states: Array, times: Array, errors: Array) -> bool:
-        """Whether an episode of states (T+1, .) at times (T+1,), with errors (T+1, g), succeeds."""
-        return bool((self._least(states, times, errors) > self._limits).all())
-
-    def share(self, states: Array, times: Array, errors: Array) -> float:
-        """The share of an episode's frames in which all conditions hold."""
-        return float((self._measures(_rows_of(states, times, errors)) > self._limits).all(axis=1).mean())
-
-    def shortfalls(self, states: Array, times: Array, errors: Array) -> Array:
-        """How far (T+1, k) each frame is from the limits of the conditions that an episode misses."""
-        short = np.maximum(self._limits - self._measures(_rows_of(states, times, errors)), 0.0)
-        return short[:, ~(self._least(states, times, errors) > self._limits)]
-
-    def missed(self, states: Array, times: Array, errors: Array) -> str:
-        """The conditions that do not hold, each with the value furthest from its bound."""
-        least = self._least(states, times, errors)
-        missed = []
-        for (name, each), value, limit in zip(self._conditions.items(), least, self._limits, strict=True):
-            if not value > limit:
-                missed.append(f"{name} is {_beside_bound(each, value, limit)}")
-        return f"in its last {self._seconds:g} s {'; '.join(missed)}"
-
-    def _least(self, states: Array, times: Array, errors: Array) -> Array:
-        """The least of each measure in the last frames."""
-        least: Array = self._measures(_rows_of(states, times, errors)[-self._frames :]).min(axis=0)
-        return least
-
-
-def _within(expression: str) -> tuple[str, bool]:
-    """An expression in one spelling, without an outer `abs`, and whether it has one."""
-    node = ast.parse(expression.strip(), mode="eval").body
-    if isinstance(node, ast.Call) and ast.unparse(node.func) == "abs":
-        return ast.unparse(node.args[0]), True
-    return ast.unparse(node), False
-
-
-def _bound(condition: Failure) -> float:
-    """The number that a condition's value is compared with."""
-    return criterion_of("", condition, ()).limit * (1.0 if condition.below is None else -1.0)
-
-
-def _margin(condition: Failure, values: Array) -> Array:
-    """By how much (k,) the expression of a condition, or that within its `abs`, meets it at these values."""
-    given = np.abs(values) if _within(condition.value)[1] else values
-    return (given - _bound(condition)) * (1.0 if condition.below is None else -1.0)
-
-
-def _rows_of(states: Array, times: Array, errors: Array) -> Array:
-    """The variables (T+1, .) of success expressions, frame by frame."""
-    return np.concatenate([states, times[:, None], errors], axis=1)
-
-
-def _beside_bound(condition: Failure, measure: float, limit: float) -> str:
-    """A measure and the limit that it does not exceed, in the words of the condition."""
-    side, sign = ("above", 1) if condition.below is None else ("below", -1)
-    value = f"{sign * measure + 0.0:.3g} {condition.unit}".strip()
-    return f"{value}, not {side} {sign * limit:g}"
-
-
-def success_names(states: Sequence[str], goals: Sequence[Quantity]) -> list[str]:
-    """The variables of success expressions, in the order of `Success.holds`."""
-    return [*states, TIME, *(f"{goal.name}_error" for goal in goals)]
