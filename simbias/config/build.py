@@ -21,7 +21,7 @@ from simbias.core.errors import ConfigError
 from simbias.core.messages import quote, words
 from simbias.core.ranges import Seed
 from simbias.core.records import Array
-from simbias.core.robot import check_quantities, check_starts
+from simbias.core.task_checks import check_quantities, check_starts
 from simbias.trial.budget import Budget
 from simbias.trial.origin import model_digest
 from simbias.trial.policy_test import PolicyTest

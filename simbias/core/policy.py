@@ -13,6 +13,8 @@ from simbias.core.records import Array
 if TYPE_CHECKING:
     from simbias.core.model import Nominal
 
+SAME = 1e-6  # of a policy's largest parameter: smaller differences are ignored
+
 
 class Law(NamedTuple):
     """A policy in words and numbers, for requests to a lab."""
@@ -86,3 +88,8 @@ class Controller:
         u, self.policy_state = self._policy.act(self._theta, own, time, self.policy_state)
         self._frame += 1
         return u
+
+
+def same_policy(theta: Array, other: Array) -> bool:
+    """Whether policies (p,) are the same; plans are recomputed, and differ in their last digits."""
+    return np.allclose(other, theta, rtol=SAME, atol=SAME * np.abs(theta).max(initial=0.0))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from copy import copy
@@ -12,13 +11,11 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from simbias.core.errors import StudyWarning
 from simbias.core.policy import Policy
-from simbias.core.quantities import TURNS, Quantity, wrapped
+from simbias.core.quantities import Quantity, wrapped
 from simbias.core.records import Array, Indices, Rollout
 
 NEGLIGIBLE = 0.01  # share of the largest error
-DRAWN, MANY = 100, 0.1  # starts for checks of a task, and the share of failing ones that is reported
 NOT_A_NUMBER = "not_a_number"  # failure name of a non-finite state that violates no criterion
 
 
@@ -54,47 +51,6 @@ class Push(NamedTuple):
     pulses: int
     amplitude: tuple[float, float]  # least and largest, in the input's unit; it may exceed the input's limit
     seconds: tuple[float, float]  # standard deviation of a pulse, least and largest
-
-
-def check_quantities(task: Task) -> None:
-    """Raise ValueError if two columns of a recording have one name, or an angle's unit is unknown."""
-    names = ["time", *(each.name for each in (*task.states, *task.inputs)), "failure"]
-    if twice := [name for i, name in enumerate(names) if name in names[:i]]:
-        raise ValueError(f"{twice[0]}: two of time, states, targets, inputs and failure have this name")
-    for each in (*task.states, *task.goals):
-        if each.wraps and each.unit not in TURNS:
-            units = ", ".join(TURNS)
-            raise ValueError(f"{each.name} wraps: expected an angle in {units}, got the unit {each.unit}")
-
-
-def check_starts(task: Task) -> None:
-    """Refuse a task if all drawn starts fail, or an output is not finite at any; warn if many do."""
-    rng = np.random.default_rng(0)
-    starts = np.array([task.draw_start(rng) for _ in range(DRAWN)])
-    failed = task.violated(starts) >= 0
-    with np.errstate(all="ignore"):
-        outputs = np.asarray(task.output(starts[~failed]))
-    if outputs.shape != (expected := (int(np.sum(~failed)), len(task.outputs))):
-        raise ValueError(f"output of {expected[0]} states: expected shape {expected}, got {outputs.shape}")
-    wrong = ~np.isfinite(outputs).T
-    names = dict.fromkeys(task.failure(start) or "" for start in starts[failed])
-    found = [(failed, f"the task fails at {{}} drawn starts: {', '.join(names)}")]
-    found += [
-        (each, f"output {output.name} is not finite at {{}} drawn starts that do not fail")
-        for output, each in zip(task.outputs, wrong, strict=True)
-    ]
-    for where, words in found:
-        if len(where) and where.all():
-            raise ValueError(words.format(f"all {len(where)}"))
-        if where.sum() > MANY * len(where):
-            warnings.warn(words.format(f"{where.sum()} of {len(where)}"), StudyWarning, stacklevel=2)
-
-
-def varied_states(task: Task) -> Array:
-    """States (k, n) of all magnitudes around drawn starts, the same at each call."""
-    rng = np.random.default_rng(0)
-    starts = np.array([task.draw_start(rng) for _ in range(DRAWN)])
-    return starts + rng.choice([-1.0, 0.0, 1.0], starts.shape) * 10.0 ** rng.uniform(-3.0, 3.0, starts.shape)
 
 
 def failure_name(criteria: Sequence[Criterion], index: int) -> str:

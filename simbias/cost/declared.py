@@ -13,7 +13,7 @@ import numpy as np
 from simbias.core import Cost, StudyWarning, Task
 from simbias.core.ranges import Coordinate, Positive
 from simbias.core.records import Array, Indices, Rollout
-from simbias.core.robot import varied_states
+from simbias.core.task_checks import varied_states
 from simbias.simulation.compiler import Expression, Expressions
 from simbias.simulation.linearization import input_scale
 

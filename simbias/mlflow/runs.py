@@ -138,22 +138,17 @@ class Runs:
             self.away, now = True, time.monotonic()
             self._retry = now + max(RETRY_SECONDS, (now - begun) / RETRY_SHARE)
 
-    def find(self, identity: str, parent: str = "") -> list[Run]:
-        """The runs with this hash in a parent, or in none, newest first."""
-        found = self._search(f"tags.hash = '{identity}'")
-        return [run for run in found if run.data.tags.get(pages.PARENT, "") == parent]
+    def find(self, identity: str) -> list[Run]:
+        """The runs with this hash, newest first."""
+        return [*self._search(f"tags.hash = '{identity}'")]
 
-    def orphans(self, identity: str) -> list[Run]:
-        """The runs with this hash whose parent was deleted."""
-        found = self._search(f"tags.hash = '{identity}'")
-        return [run for run in found if self._deleted(run.data.tags.get(pages.PARENT, ""))]
-
-    def _deleted(self, run_id: str) -> bool:
-        """Whether a run was deleted, perhaps also from the store (`mlflow gc`); False for ""."""
+    def orphaned(self, run: Run) -> bool:
+        """Whether a run's parent was deleted, perhaps also from the store (`mlflow gc`)."""
         from mlflow.exceptions import MlflowException
 
         try:
-            return bool(run_id) and self.client.get_run(run_id).info.lifecycle_stage == "deleted"
+            parent = parent_of(run)
+            return bool(parent) and self.client.get_run(parent).info.lifecycle_stage == "deleted"
         except MlflowException as error:
             if error.error_code != "RESOURCE_DOES_NOT_EXIST":
                 raise
@@ -201,6 +196,11 @@ class Runs:
             token = page.token
             if not token:
                 return
+
+
+def parent_of(run: Run) -> str:
+    """The id of the run that a run is nested in; "" if none."""
+    return run.data.tags.get(pages.PARENT, "")
 
 
 def readable(write: Callable[[], None]) -> bool:

@@ -13,7 +13,7 @@ import yaml
 from simbias.core.records import Iteration
 from simbias.mlflow import notes
 from simbias.mlflow.pages import NOTE, PARENT, RUN_NAME, run_page
-from simbias.mlflow.runs import OUTDATED, Point, RunExport, Runs, superseded
+from simbias.mlflow.runs import OUTDATED, Point, RunExport, Runs, parent_of, superseded
 from simbias.trial.continuation import continued
 from simbias.trial.disk import LOCK, is_locked
 from simbias.trial.folder import PICTURES, TrialFolder
@@ -91,10 +91,12 @@ class TrialExport(RunExport):
         tags = {**origin_tags(description), "hash": identity}
         if nested:
             tags |= {PARENT: nested.parent, **nested.tags}
-        found = runs.find(identity, nested.parent if nested else "")
+        every = runs.find(identity)
+        found = [run for run in every if parent_of(run) == (nested.parent if nested else "")]
         if run := _begun(found, courses[-1]):
             return run
-        if nested and (run := _begun(runs.orphans(identity), courses[-1])):
+        begun = [run for run in every if run.info.start_time == courses[-1]]
+        if nested and (run := next(filter(runs.orphaned, begun), None)):
             for key, value in {PARENT: nested.parent, RUN_NAME: nested.name, **nested.tags}.items():
                 runs.client.set_tag(run.info.run_id, key, value)
             return run

@@ -14,7 +14,7 @@ from simbias.core.errors import ConfigError
 from simbias.core.messages import words
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.directions import Direction, undetermined
-from simbias.learning.identification.identified import Identified
+from simbias.learning.identification.identified import Identified, Known
 from simbias.learning.identification.posterior import Posterior
 from simbias.learning.identification.refinement import moved_by_shorter_steps
 from simbias.recordings.copies import Digest, digests
@@ -201,16 +201,13 @@ def assess(
         fit(everything, f"with windows of {factor * posterior.window:g} s", factor)
         for factor in OTHER_WINDOWS
     ]
-    apart, known = list[Identified](), posterior.known
-    if known:
+    apart = list[Identified]()
+    if posterior.known:
         earlier = posterior.fit(study.nominal, [])
         assert isinstance(earlier, Identified)
         declared = posterior.with_known(None)
         apart = [earlier, fit(everything, "without the earlier posterior", begin=declared)]
     found = findings(identified, alone, by_window, 0.0 if shorter is None else shorter.max(axis=0), apart)
-    if known and known.doubts:
-        stay = zip(found, known.doubts, strict=True)
-        found = [replace(each, earlier=tuple(doubts)) for each, doubts in stay]
     rest = [others(all_parts, i) for i in range(len(all_parts))]
     if kept:
         models = [identified]
@@ -228,7 +225,7 @@ def assess(
         all_parts,
         kept,
         models,
-        found,
+        _with_earlier(found, posterior.known),
         own_findings(list(recordings), identified, by_window, shorter),
         predictions(study.task, study.nominal, models, [part.rollouts for part in judged], learned, own),
         mistakes(study.task, [study.nominal, identified], recordings),
@@ -237,12 +234,25 @@ def assess(
             for factor, other in zip(OTHER_WINDOWS, by_window, strict=True)
         },
         shorter is not None,
-        [
-            *map(Digest.of, (known and known.learned) or ()),
-            *(each for pieces in recordings.values() for each in digests(pieces, study.task.time_step)),
-        ],
+        _learned(posterior.known, recordings, study.task.time_step),
     )
     return assessment.doubted(doubt)
+
+
+def _with_earlier(found: list[Finding], known: Known | None) -> list[Finding]:
+    """Findings with the doubts of an earlier posterior, if it has any."""
+    if not known or not known.doubts:
+        return found
+    pairs = zip(found, known.doubts, strict=True)
+    return [replace(each, earlier=tuple(doubts)) for each, doubts in pairs]
+
+
+def _learned(
+    known: Known | None, recordings: Mapping[str, Sequence[Rollout]], time_step: float
+) -> list[Digest]:
+    """Digests of what an earlier posterior has learned, and of these recordings."""
+    before = map(Digest.of, (known and known.learned) or ())
+    return [*before, *(each for pieces in recordings.values() for each in digests(pieces, time_step))]
 
 
 def own_findings(

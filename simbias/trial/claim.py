@@ -9,9 +9,9 @@ from typing import Annotated, NamedTuple
 from pydantic import Field
 
 from simbias.core import Model
+from simbias.core.policy import same_policy
 from simbias.core.proportions import clopper_pearson, passes_needed
 from simbias.core.records import Array, Iteration, Rollout
-from simbias.search.optimizer.trajectory_candidates import same_policy
 
 ERROR = 0.05  # probability that a trial overstates the share of starts for any of its policies
 

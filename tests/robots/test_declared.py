@@ -23,7 +23,7 @@ from simbias.config.identity import identity_fields
 from simbias.core import HardwareError, Model, Quantity, StudyWarning, Task, wrapped
 from simbias.core.quantities import unwound
 from simbias.core.records import Array, Rollout
-from simbias.core.robot import check_quantities, check_starts
+from simbias.core.task_checks import check_quantities, check_starts
 from simbias.lab.checks import check_rollout
 from simbias.simulation.compiled import CompiledSimulator
 from simbias.simulation.compiler import Expressions

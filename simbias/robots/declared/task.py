@@ -14,7 +14,7 @@ from simbias.core.files import ConfigFile
 from simbias.core.quantities import TURNS
 from simbias.core.ranges import Coordinate, Frames, Seconds, TimeStep
 from simbias.core.records import Array
-from simbias.core.robot import DRAWN, varied_states
+from simbias.core.task_checks import drawn_starts, varied_states
 from simbias.robots.declared.declarations import (
     DrawnPart,
     Failure,
@@ -264,8 +264,7 @@ class Declared(Task):
 
     def _turning(self) -> dict[str, float]:
         """Half a turn of each angle that may make a whole one: no failure stops it, whatever the others."""
-        rng, turning = np.random.default_rng(0), dict[str, float]()
-        starts = np.array([self.draw_start(rng) for _ in range(DRAWN)])
+        turning, starts = dict[str, float](), drawn_starts(self, np.random.default_rng(0))
         begun = starts[self.violated(starts) < 0]
         for index, each in enumerate(self.states if len(begun) else ()):
             if not each.wraps:

@@ -11,6 +11,7 @@ import numpy as np
 
 from simbias.core import GoalWeights, Model, Policy, StudyWarning, Task
 from simbias.core.errors import ConfigError
+from simbias.core.policy import same_policy
 from simbias.core.records import Array
 from simbias.policy.trajectory import Trajectory
 from simbias.search.optimizer.following import Plan
@@ -18,7 +19,6 @@ from simbias.search.optimizer.ilqr import GAIN_WEIGHTS, Shooting
 from simbias.simulation.goal import goal_along, moves
 
 DEARER = 1.5  # times a plan's cost: if following its knots costs more, a warning says so
-SAME = 1e-6  # of a policy's largest parameter: smaller differences are ignored
 SEED = 0  # of the plans' initial random inputs, so that the same model gives the same trajectories
 
 
@@ -84,11 +84,6 @@ def _planned(
         if not any(same_policy(*pair) for pair in product(policies, refuted)):
             break
     return best
-
-
-def same_policy(theta: Array, other: Array) -> bool:
-    """Whether policies (p,) are the same; plans are recomputed, and differ in their last digits."""
-    return np.allclose(other, theta, rtol=SAME, atol=SAME * np.abs(theta).max(initial=0.0))
 
 
 def follower(task: Task, policy: Policy) -> Trajectory:
