@@ -23,7 +23,7 @@ from simbias.trial.disk import read_json, require_file, write_json, write_whole
 from simbias.trial.folder import TrialFolder
 
 SWEEP, STATE = "sweep.json", "state.json"
-CHANGED = "Trials have changed since; running the sweep's command again counts them again."
+CHANGED = "Trials have changed since; run the sweep's command again to count them."
 REMEDY = "Delete it: the command of the whole sweep recreates it from the trials"
 FIGURES, EXPERIMENTS = "figures", "experiments"
 

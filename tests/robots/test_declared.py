@@ -304,7 +304,7 @@ def test_a_condition_that_counts_turns_is_said() -> None:
             warnings.simplefilter("always")
             declared(**options, success={"up": {"value": value, "below": 0.2}})
         lines = [str(each.message) for each in caught]
-        assert [line.partition(" uses angle, which wraps, with its turns")[0] for line in lines] == [
+        assert [line.partition(" counts the turns of angle, which wraps")[0] for line in lines] == [
             said
         ] * bool(said)
 

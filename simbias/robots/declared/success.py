@@ -114,8 +114,8 @@ def warn_of_turns(
     meant = {key for key, each in conditions.items() if _bounds_turns(each, turning)}
     for key in [key for key in conditions if key in angles.keys() - meant][:1]:
         angle = angles[key]
-        words = f"{key} uses {angle}, which wraps, with its turns, so that a whole turn is not zero; "
-        words += f"sin({angle}), cos({angle}) and the goal's error leave them out"
+        words = f"{key} counts the turns of {angle}, which wraps: after a whole turn it is not zero again; "
+        words += f"sin({angle}), cos({angle}) and the goal's error do not count them"
         warnings.warn(words, StudyWarning, stacklevel=4)
 
 

@@ -122,10 +122,10 @@ def _caption(numbers: pd.DataFrame, sweep: Sweep, units: str) -> str:
     return (
         f"Above: share of test episodes in which the last policy {sweep.success}, long ones to their end, "
         f"mean of each cell; at the right the interquartile mean{spread}. "
-        "Below: share of trials above each share of test episodes; share of trials that end within each "
-        "number of experiments (without success, within all that they may make) with a policy that holds "
-        f"(lower Wilson limit above {sweep.report.bar:.0%}{takes}); curves that are the same lie one below "
-        f"the other.{most}"
+        "Below: share of trials that exceed a given share of test episodes; share of trials that end within "
+        "a given number of experiments (without success, within all that they may make) with a policy that "
+        f"holds (lower Wilson limit above {sweep.report.bar:.0%}{takes}); curves that are the same lie one "
+        f"below the other.{most}"
     )
 
 
