@@ -48,6 +48,10 @@ class Policy(ABC):
         """
         return self
 
+    def directions(self, theta: Array) -> Array:
+        """Directions (d, p) of a search near the policy theta (p,), from -1 to 1 of each; none: the box."""
+        return np.empty((0, len(theta)))
+
     def imitating(self, states: Array, inputs: Array) -> Array | None:
         """The parameters (p,) that best imitate inputs (k, T, m) at states (k, T, n); None if unsupported.
 

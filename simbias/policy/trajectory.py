@@ -18,7 +18,9 @@ from simbias.simulation.noise import QUIET, Variances
 
 SMALL = 0.1  # maximum share of the input limits for the friction gains
 LARGEST = 1e3  # bound on planned states, in their units
+INPUTS, GAINS = 0.2, 0.9  # most that a search changes: inputs, as a share of the limits; gains, of themselves
 Knots = Annotated[int, Field(ge=2, le=2000)]
+SearchedKnots = Annotated[int, Field(ge=0, le=200)]
 ObserverGain = Annotated[float, Field(ge=0.02, le=1)]
 
 
@@ -45,6 +47,9 @@ class Trajectory(Policy):
         on small deviations: L_t (x - x_t) is clipped to a tenth of the limits.
     resting
         Seconds at the end of the horizon that the plan spends at rest at the goal.
+    searched_knots
+        Number of times at which a search may change the inputs and gains of a planned policy; its changes are
+        linear in between, and zero at the end. 0: it compares planned policies.
 
     Raises
     ------
@@ -64,6 +69,7 @@ class Trajectory(Policy):
         noise: Variances = QUIET,
         sliding: bool = False,
         resting: NonNegative = 0.0,
+        searched_knots: SearchedKnots = 0,
     ) -> None:
         if task.targets:
             raise ValueError("follows one plan, but this task's targets need another one at each start")
@@ -72,7 +78,7 @@ class Trajectory(Policy):
             raise ValueError(f"resting: expected less than the horizon's {duration:g} s, got {resting:g} s")
         self._task, self._knots, self.sliding, self.resting = task, knots, sliding, resting
         self._n, self._m = len(task.states), len(task.inputs)
-        self._spacing = duration / (knots - 1)
+        self._spacing, self.searched_knots = duration / (knots - 1), searched_knots
         self._observer = OBSERVERS[observer](task, nominal, noise)
         self._gains = np.full(len(self._observer.bounds[0]), observer_gain)
         self.state_size = self._observer.size
@@ -122,6 +128,22 @@ class Trajectory(Policy):
         used = gains[: 1 + self.sliding]
         rows = np.concatenate([states, inputs, *(each.reshape(self._knots, -1) for each in used)], axis=1)
         return np.clip(rows.ravel(), *self.bounds)
+
+    def planned(self, theta: Array) -> Array:
+        """The states x_t (K, n) that the policy theta (p,) follows."""
+        return theta.reshape(self._knots, -1)[:, : self._n]
+
+    def directions(self, theta: Array) -> Array:
+        """Changes of each input and each gain at each searched knot; gains that are zero stay zero."""
+        sizes = GAINS * theta.reshape(self._knots, -1)[:, self._n :]
+        sizes[:, : self._m] = INPUTS * self._task.input_limit
+        places = np.linspace(0, self._knots - 1, self.searched_knots + 1)
+        hats = [np.interp(np.arange(self._knots), places, each) for each in np.eye(len(places))[:-1]]
+        changes = np.einsum(
+            "sk,kc,cd->sdkc", np.reshape(hats, (-1, self._knots)), sizes, np.eye(sizes.shape[1])
+        )
+        whole = np.pad(changes, [(0, 0)] * 3 + [(self._n, 0)]).reshape(-1, len(theta))
+        return whole[whole.any(axis=1)]
 
     def law(self, theta: Array) -> Law:
         """The law in words, with one row per knot."""

@@ -16,7 +16,7 @@ from simbias.core.errors import ConfigError
 from simbias.core.objective import Mapped
 from simbias.core.records import Array, Iteration, Learning, Optimum, Rollout, Search, Transitions
 from simbias.policy.trajectory import Trajectory
-from simbias.search import lqr
+from simbias.search import around, lqr
 from simbias.search.optimizer.trajectory_candidates import trajectory_candidates
 from simbias.trial.observer import Observer
 from simbias.trial.study import Study
@@ -98,8 +98,8 @@ def _search(
         observer.searching(evaluations, best)
         return costs
 
-    watched, box = Mapped(objective, report), study.policy.bounds
-    optimum = study.optimizer.minimize(watched, *box, optimizer_rng, target_cost, candidates)
+    watched = Mapped(objective, report)
+    optimum = around.minimize(study.optimizer, watched, study.policy, optimizer_rng, target_cost, candidates)
     return optimum, objective(optimum.parameters)
 
 

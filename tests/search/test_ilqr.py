@@ -271,7 +271,8 @@ def test_a_plan_that_is_refuted_and_misses_the_goal_is_not_the_next_one(
 ) -> None:
     monkeypatch.setattr(Shooting, "plan", Shooting._first)  # random inputs, which miss it
     models = [simbias.load([*NEAR, "task.hold=0.5", "task.states.angle.mean=2.5"]).first_model()]
-    first, again = (list(trajectory_candidates(models, 1, None, refuted)) for refuted in ([], [np.zeros(1)]))
+    others = [[], [np.zeros(models[0].policy.n_parameters)]]
+    first, again = (list(trajectory_candidates(models, 1, None, refuted)) for refuted in others)
     np.testing.assert_array_equal(first, again)
     other = list(trajectory_candidates(models, 1, None, [first[1]]))
     assert np.abs(other[0] - first[0]).max() > 1e-3

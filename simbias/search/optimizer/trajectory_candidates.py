@@ -80,8 +80,8 @@ def _planned(
         best = min(filter(None, plans), key=lambda plan: plan.cost, default=best)
         if best is None or task.succeeds(best.states) is not False:
             break
-        policies = shooting.following.policies(best, policy, GAIN_WEIGHTS)
-        if not any(same_policy(*pair) for pair in product(policies, refuted)):
+        plan = policy.planned(next(shooting.following.policies(best, policy, GAIN_WEIGHTS)))
+        if not any(same_policy(policy.planned(theta), plan) for theta in refuted):
             break
     return best
 

@@ -119,6 +119,8 @@ class ModelBased(Method):
         list(self._known(study))
         if self.trajectories:
             follower(study.task, study.policy)
+        elif getattr(study.policy, "searched_knots", 0):
+            raise ConfigError("policy.searched_knots", "needs a plan to search near: method=trajectory")
         if self.random_experiments:
             _check_random_inputs(study.task)
 
