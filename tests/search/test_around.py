@@ -14,7 +14,7 @@ from simbias.trial.run import run_trial
 from simbias.trial.study import Study
 
 KNOTS, SEARCHED = 21, 4
-NEAR = ["optimizer=cma_near_plan", "policy.searched_knots=3", "optimizer.max_evaluations=64"]
+NEAR = ["preset=[cartpole_trajectory,near_plan]", "policy.searched_knots=3", "optimizer.max_evaluations=64"]
 
 
 @pytest.fixture(scope="module")
@@ -56,16 +56,22 @@ def test_the_optimum_is_the_nearest_policy_in_these_directions(planned: tuple[Tr
 
 @pytest.mark.slow
 def test_a_trial_searches_near_its_plan(study: Study) -> None:
-    short = ["preset=cartpole_trajectory", "tracking=none", "task.horizon=100", "task.hold=0.2"]
-    short += ["method.max_iterations=1", "identification=none"]
-    compared, searched = (run_trial(simbias.load([*short, *more])).iterations[0] for more in ([], NEAR))
+    short = [
+        "tracking=none",
+        "task.horizon=100",
+        "task.hold=0.2",
+        "method.max_iterations=1",
+        "identification=none",
+    ]
+    presets = ["preset=cartpole_trajectory"], NEAR
+    compared, searched = (run_trial(simbias.load([*preset, *short])).iterations[0] for preset in presets)
     assert searched.search.predicted_cost < compared.search.predicted_cost
     assert 3 < searched.search.optimum.evaluations <= 64 + 3
-    policy = simbias.load([*short, *NEAR]).policy
+    policy = simbias.load([*NEAR, *short]).policy
     np.testing.assert_array_equal(policy.planned(searched.parameters), policy.planned(compared.parameters))
 
 
 def test_without_a_plan_it_is_one_line(study: Study) -> None:
-    other = simbias.load(["preset=cartpole_trajectory", "tracking=none", *NEAR, "method.trajectories=0"])
+    other = simbias.load([*NEAR, "tracking=none", "method.trajectories=0"])
     with pytest.raises(ConfigError, match=r"^policy\.searched_knots: needs a plan"):
         run_trial(other)
