@@ -129,3 +129,18 @@ def test_intervals_of_a_drawn_robot_are_counted() -> None:
     assert found["intervals"] == 11
     assert 0 < found["trusted_hold"] <= found["hold"] <= 11
     assert lacking["trusted"] == lacking["trusted_hold"] == 0
+
+
+def test_planners_solve_the_same_problem(study: Study, tmp_path: Path) -> None:
+    """Once with formulas, once with an engine: IPOPT's plan is one of the model, and costs about as much."""
+    pytest.importorskip("casadi")
+    short = ["--draws", "1", "--experiments", "0", "--set", "task.horizon=60"]
+    printed = study("planners", str(tmp_path), "--presets", "cartpole_trajectory", "pendulum_swingup", *short)
+    assert len(printed.splitlines()) == 2 + 2 * 3
+    plans = pd.read_csv(tmp_path / "planners.csv")
+    solved = plans[plans["planner"] == "IPOPT"]
+    assert set(solved["status"]) == {"Solve_Succeeded"}
+    assert solved["defect"].max() < 1e-5
+    assert solved["input_share"].max() < 0.8 + 1e-6
+    best = plans.groupby(["preset", "model", "planner"])["cost"].min().unstack()
+    np.testing.assert_allclose(best["IPOPT"], best["iLQR, patient"], rtol=0.01)
