@@ -143,4 +143,4 @@ def test_planners_solve_the_same_problem(study: Study, tmp_path: Path) -> None:
     assert solved["defect"].max() < 1e-5
     assert solved["input_share"].max() < 0.8 + 1e-6
     best = plans.groupby(["preset", "model", "planner"])["cost"].min().unstack()
-    np.testing.assert_allclose(best["IPOPT"], best["iLQR, patient"], rtol=0.01)
+    np.testing.assert_allclose(best["IPOPT"], best["patient iLQR"], rtol=0.01)

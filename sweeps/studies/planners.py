@@ -45,7 +45,7 @@ FEASIBLE = 1e-5  # largest defect of a plan between frames, of states in their u
 LOWER = 0.99  # times the cost of our plan: counts as lower
 STOPS = {  # when iterative LQR ends
     "iLQR": {"PROGRESS": ilqr.PROGRESS, "ITERATIONS": ilqr.ITERATIONS},
-    "iLQR, patient": {"PROGRESS": 1e-4, "ITERATIONS": 500},
+    "patient iLQR": {"PROGRESS": 1e-4, "ITERATIONS": 500},
 }
 COLUMNS = ["preset", "model", "planner", "guess", "status", "iterations", "setup_seconds", "seconds"]
 HEAD = "preset, planner, cost, cost on draws, lower cost, inputs alone succeed, with feedback, seconds, "
