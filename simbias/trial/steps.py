@@ -37,6 +37,7 @@ def search(
     last: Iterable[Array] = (),
     trajectories: int = 0,
     refuted: Sequence[Array] = (),
+    patient: bool = False,
 ) -> Search:
     """Optimise the policy in simulation, on a corrected model (the dashed loop of Fig. 1).
 
@@ -45,7 +46,8 @@ def search(
     `posterior_scale`. The best optimum is returned, with the evaluations of all searches. Each first
     evaluates the last policies (p,), LQR policies of `lqr_candidates` models (`simbias.search.lqr`), and
     policies that follow the best of some trajectories (`simbias.search.optimizer.ilqr`), planned on the model
-    with or without its bias, and others than the `refuted` policies (p,) if these miss the goal there.
+    with or without its bias, for longer if `patient`, and others than the `refuted` policies (p,) if these
+    miss the goal there.
 
     Raises
     ------
@@ -57,7 +59,7 @@ def search(
     searches: list[tuple[Optimum, float]] = []
     drawn = model
     models = (model, study.model(nominal=model.nominal)) if trajectories else (model,)
-    planned = trajectory_candidates(models, trajectories, study.cost.goal_weights, refuted)
+    planned = trajectory_candidates(models, trajectories, study.cost.goal_weights, refuted, patient)
     designs = lqr.lqr_candidates(model, lqr_candidates), planned
     candidates: Iterator[Array] = chain(last, *designs)
     while not searches or (searches[-1][1] > target and len(searches) <= retries):

@@ -43,10 +43,7 @@ PRESETS: Mapping[str, list[str]] = {
 }
 FEASIBLE = 1e-5  # largest defect of a plan between frames, of states in their units
 LOWER = 0.99  # times the cost of our plan: counts as lower
-STOPS = {  # when iterative LQR ends
-    "iLQR": {"PROGRESS": ilqr.PROGRESS, "ITERATIONS": ilqr.ITERATIONS},
-    "patient iLQR": {"PROGRESS": 1e-4, "ITERATIONS": 500},
-}
+OURS = {"iLQR": False, "patient iLQR": True}  # whether it is patient
 COLUMNS = ["preset", "model", "planner", "guess", "status", "iterations", "setup_seconds", "seconds"]
 HEAD = "preset, planner, cost, cost on draws, lower cost, inputs alone succeed, with feedback, seconds, "
 HEAD += "iterations, on hardware"
@@ -99,22 +96,24 @@ def planned(preset: str, draw: int, experiments: int, overrides: Sequence[str] =
     study = simbias.load(["tracking=none", f"preset={preset}", *PRESETS[preset], *overrides])
     task, weights = study.task, study.cost.goal_weights
     nominal = study.nominal.draw(np.random.default_rng(draw)) if draw else study.nominal
-    shooting = ilqr.Shooting(study.model(nominal=nominal), weights, study.policy.sliding)
+    model, sliding = study.model(nominal=nominal), study.policy.sliding
+    ours = {planner: ilqr.Shooting(model, weights, sliding, patient) for planner, patient in OURS.items()}
+    shooting = ours["iLQR"]
     nominal = shooting.following.model.nominal  # with sliding joints, if planned so
     ipopt, setup = timed(MultipleShooting, task, nominal, weights or ilqr.default_weights(task))
     moving, guesses, found = moves(goal_along(task)), dict[str, tuple[Array, Array]](), []
     for k in range(1 if moving else study.method.trajectories):
         guess = "rest" if moving else f"random {k + 1}"
         begun = None if moving else np.random.default_rng(SEED).spawn(k + 1)[k]
-        with patch.object(ilqr, "ITERATIONS", 0):
-            first, compiling = timed(shooting.plan, deepcopy(begun))
+        with patch.multiple(ilqr, ITERATIONS=0, PATIENT_ITERATIONS=0):
+            (first, compiling), _ = (timed(own.plan, deepcopy(begun)) for own in ours.values())
         if first is None:
             continue
         guesses[guess] = first.states, first.inputs
-        for planner, stop in STOPS.items():
+        for planner, own in ours.items():
             rng, counted = deepcopy(begun), {"autospec": True, "side_effect": Following.slopes}
-            with patch.multiple(ilqr, **stop), patch.object(Following, "slopes", **counted) as slopes:
-                plan, seconds = timed(shooting.plan, rng)
+            with patch.object(Following, "slopes", **counted) as slopes:
+                plan, seconds = timed(own.plan, rng)
             found.append((plan, planner, guess, "", slopes.call_count, compiling, seconds))
     if not moving:
         guesses["line"] = line(task, nominal)
@@ -125,7 +124,7 @@ def planned(preset: str, draw: int, experiments: int, overrides: Sequence[str] =
     for plan, *made in found:
         about = dict(zip(COLUMNS, (preset, draw, *made), strict=True))
         rows.append(about | judged(plan, shooting, nominal, task) | {"hardware": np.nan})
-    for planner in (*STOPS, "IPOPT") if experiments and not draw else ():
+    for planner in (*OURS, "IPOPT") if experiments and not draw else ():
         own = [k for k, each in enumerate(rows) if each["planner"] == planner]
         best = min(own, key=lambda k: rows[k]["cost"])
         rows[best]["hardware"] = on_hardware(study, shooting, plans[best], experiments)

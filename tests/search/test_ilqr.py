@@ -158,6 +158,20 @@ def test_a_plan_rests_at_the_goal_for_the_seconds_that_are_left_to_it(
     assert np.abs(rollout.states[25:, 0]).max() < 0.05
 
 
+@pytest.mark.slow
+def test_patient_plans_are_improved_for_longer(uncompiled: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ilqr, "ITERATIONS", 1)
+    monkeypatch.setattr(ilqr, "PATIENT_ITERATIONS", 5)
+    study = simbias.load([*NEAR, "method.max_iterations=1", "method.patient_plans=true"])
+    model, weights = study.first_model(), study.cost.goal_weights
+    rngs = (np.random.default_rng(0) for _ in range(2))
+    hasty, patient = (Shooting(model, weights, False, p).plan(next(rngs)).cost for p in (False, True))
+    assert patient < hasty
+    (last,) = run_trial(study).iterations
+    candidates = trajectory_candidates([model], study.method.trajectories, weights, patient=True)
+    assert min(np.abs(theta - last.parameters).max() for theta in candidates) < 1e-9
+
+
 def test_a_goal_that_wraps_is_planned_for_the_shorter_way() -> None:
     config = shipped_task("pendulum_swingup")
     for start, goal, ends in (

@@ -31,8 +31,8 @@ INPUT_WEIGHT = 0.1  # of squared inputs at their limits, 1/s
 SHARE = 0.8  # of the input limits for a step; feedback around the previous plan may use the rest
 GAIN_WEIGHTS = (1.0, 10.0, 100.0)  # R of inputs at their limits; Q of a state of one unit is 1
 SHORTER = 0.5 ** np.arange(12)  # fractions of a step, tried in lockstep
-ITERATIONS = 200
-PATIENCE, PROGRESS = 10, 0.01  # it ends when this many iterations save less than this share
+ITERATIONS, PROGRESS, PATIENCE = 200, 0.01, 10  # it ends when the last ten save less than this share
+PATIENT_ITERATIONS, PATIENT_PROGRESS = 500, 1e-4  # the same, if it is patient
 LEAST, MOST = 1e-6, 1e8  # damping: if no step costs less even at the most, the search ends
 FROM_REST, FROM_REST_PATIENCE = 1e6, 3  # damping and patience for trajectories that begin at rest
 MARGINS = 0.5, 0.2, 0.05  # of the start's margin to a criterion's limit: nearer to it, a plan costs more
@@ -75,8 +75,15 @@ def _lasts(plan: Plan, task: Task) -> bool:
 class Shooting:
     """Plans on a model, as it is or with sliding joints, from the task's mean start to its goal."""
 
-    def __init__(self, model: Model, weights: GoalWeights | None = None, sliding: bool = False) -> None:
+    def __init__(
+        self,
+        model: Model,
+        weights: GoalWeights | None = None,
+        sliding: bool = False,
+        patient: bool = False,
+    ) -> None:
         task = model.task
+        self._patient = patient
         self.following = Following(model, weights, sliding)
         self._task, self._model, self._goal_weights, self._sliding = task, model, weights, sliding
         self._failed = False  # whether a rollout has failed
@@ -106,7 +113,8 @@ class Shooting:
         plan = self._from_rest()
         if plan is not None and (not self._failed or self._task.succeeds(plan.states)):
             return plan
-        free = Shooting(replace(self._model, task=_unfailing(self._task)), self._goal_weights, self._sliding)
+        unlimited = replace(self._model, task=_unfailing(self._task))
+        free = Shooting(unlimited, self._goal_weights, self._sliding, self._patient)
         other = free._from_rest()
         if other is not None and not _lasts(other, self._task):
             other = free._kept_within(self._task)
@@ -165,13 +173,15 @@ class Shooting:
     def _descended(self, best: Plan, damping: float, patience: int) -> Plan:
         """The trajectory found by steps of decreasing cost; the first step has this damping."""
         costs = list[float]()
-        while damping < MOST and len(costs) < ITERATIONS:
+        most = PATIENT_ITERATIONS if self._patient else ITERATIONS
+        progress = PATIENT_PROGRESS if self._patient else PROGRESS
+        while damping < MOST and len(costs) < most:
             better = self._improved(best, damping)
             damping = damping * 10 if better is None else max(damping / 5, LEAST)
             if better is None:
                 continue
             best, costs = better, [*costs, better.cost]
-            if len(costs) > patience and costs[-1] > (1 - PROGRESS) * costs[-1 - patience]:
+            if len(costs) > patience and costs[-1] > (1 - progress) * costs[-1 - patience]:
                 break
         return best
 

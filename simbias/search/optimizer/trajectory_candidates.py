@@ -27,6 +27,7 @@ def trajectory_candidates(
     count: int,
     weights: GoalWeights | None = None,
     refuted: Sequence[Array] = (),
+    patient: bool = False,
 ) -> Iterator[Array]:
     """Policies (p,) that follow the best of `count` trajectories, one for each weight of the inputs.
 
@@ -55,7 +56,7 @@ def trajectory_candidates(
     else:
         begun = [(count, 0), (0, 1)] if task.goals == task.states else [(count, 1)]
     for (random, at_rest), model in product(begun, models):
-        shooting = Shooting(replace(model, task=task), weights, policy.sliding)
+        shooting = Shooting(replace(model, task=task), weights, policy.sliding, patient)
         best = _planned(shooting, task, policy, random, at_rest, refuted)
         if best is not None:
             followed = shooting.along_knots(best, policy.times)

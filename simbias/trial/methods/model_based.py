@@ -74,6 +74,9 @@ class ModelBased(Method):
         `from_last` are they compared with the last policy, which the hardware has refuted but which may cost
         less on the corrected model. If the best one misses the goal and is refuted already, others are
         planned. Requires policy=trajectory.
+    patient_plans
+        Whether a plan is improved until ten iterations save less than 0.01% instead of 1% of its cost, or for
+        500 iterations instead of 200.
     random_experiments
         Experiments with random inputs instead of a policy before the first search (J in PILCO). They count as
         experiments, and are learned from.
@@ -95,6 +98,7 @@ class ModelBased(Method):
     confidence: Confidence | None = None
     margin: NonNegative = 0.0
     random_experiments: CountOrZero = 0
+    patient_plans: bool = False
 
     def __post_init__(self) -> None:
         check_passes(self.passes, self.experiments)
@@ -190,6 +194,7 @@ class ModelBased(Method):
             last=last,
             trajectories=self.trajectories,
             refuted=refuted,
+            patient=self.patient_plans,
         )
 
     def _known(self, study: Study) -> Iterator[Array]:
