@@ -321,3 +321,33 @@ def test_published_scores_are_those_of_the_published_policies() -> None:
     assert score.performance(law, score.DRIVEN.index("pendubot")) == pytest.approx(
         rows["performance"][0], abs=1e-3
     )
+
+
+def test_published_scores_of_what_was_learned_are_in_the_table() -> None:
+    """Its numbers are from the CSV."""
+    folder = ROOT / "sweeps" / "results" / "board"
+    rows, text = pd.read_csv(folder / "learned.csv"), (folder / "HOW.md").read_text()
+    counts = rows.groupby(["robot", "policy"]).size().to_dict()
+    assert counts == {("acrobot", "first"): 10, ("acrobot", "last"): 10, ("pendubot", "last"): 10}
+    for name, head in {
+        "robustness": "**robustness**",
+        "robustness_with_gap": "robustness with the gap",
+    }.items():
+        (line,) = (line for line in text.splitlines() if line.startswith(f"| {head} | 0."))
+        for (_, policy), own in rows.groupby(["robot", "policy"]):
+            assert f"| {own[name].mean():.3f} (" in line, policy
+
+
+def test_a_scenario_with_the_gap_keeps_what_it_says_itself() -> None:
+    from plant import FRICTION
+    from score import Scenario
+    from score_learned import gap_of
+
+    noise = {"velocity_variance": 0.01}
+    hardware = {"compensated": 0.9, "response": 0.3, "delay": 1, "noise": noise}
+    changed = gap_of(hardware, 0.004, 1)
+    one = changed(Scenario("delay", delay=0.02, plant=(("c_2", -0.2),)))
+    assert (one.delay, one.velocity_noise) == (0.02, pytest.approx(0.1))
+    assert one.response == pytest.approx(0.51)
+    assert dict(one.plant) == FRICTION | {"c_1": pytest.approx(0.016), "c_2": -0.2}
+    assert changed(Scenario("none")).delay == 0.004

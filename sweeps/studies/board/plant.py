@@ -25,6 +25,7 @@ PLANT = {  # design C.1 without friction; inertias about joints
     "c_2": 0.0,
     "rotor": 0.0,
 }
+FRICTION = {"b_1": 0.001, "b_2": 0.001, "c_1": 0.16, "c_2": 0.12, "rotor": 6.287203962819607e-5}  # the lab's
 MINUTE, RESETS, RESET = 60.0, 15, 0.2  # s, of which each takes so long
 GAINS = (10.0, 0.1, 1.0)  # of their PID, which counts each step as 1 ms
 PID_STEP = 0.001

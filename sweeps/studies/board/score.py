@@ -19,7 +19,7 @@ github.com/dfki-ric-underactuated-lab/double_pendulum.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -97,6 +97,9 @@ class Scenario:
     pushes: tuple[tuple[float, float, float], ...] = ()  # s, s, N m: middle, standard deviation, size
 
 
+UNDISTURBED = Scenario("none")
+
+
 def scenarios(joint: int, rng: np.random.Generator) -> list[Scenario]:
     """Those of the robustness score."""
     found, levels, repeated = [], range(LEVELS), np.repeat(np.arange(LEVELS), REPETITIONS)
@@ -166,17 +169,20 @@ def simulate(law: Law, each: list[Scenario], joint: int, rng: np.random.Generato
     return Runs(STEP * np.arange(steps + 1), X, np.concatenate([U, U[-1:]]), np.full(lanes, steps + 1))
 
 
-def performance(law: Law, joint: int) -> float:
-    """The score on the plant as drawn."""
-    run = simulate(law, [Scenario("none")], joint, np.random.default_rng(0))
+def performance(law: Law, joint: int, one: Scenario = UNDISTURBED) -> float:
+    """The score, on the plant as drawn unless `one` changes it."""
+    run = simulate(law, [one], joint, np.random.default_rng(0))
     commanded = Runs(run.times[:-1], run.states[:-1], run.commands[:-1], run.rows - 1)
     return float(commanded.outcomes(SECONDS, TYPICAL)["score"][0])
 
 
-def robustness(law: Law, joint: int, seed: int) -> dict[str, float]:
-    """Rates of success by kind, and their mean, the score."""
+def robustness(
+    law: Law, joint: int, seed: int, changed: Callable[[Scenario], Scenario] | None = None
+) -> dict[str, float]:
+    """Rates of success by kind, and their mean, the score; not theirs if scenarios are `changed`."""
     rng = np.random.default_rng(seed)
     each = scenarios(joint, rng)
+    each = [changed(one) for one in each] if changed else each
     held, rates = succeeds(simulate(law, each, joint, rng)), dict[str, float]()
     for kind in dict.fromkeys(one.kind for one in each):
         own = np.array([one.kind == kind for one in each])
