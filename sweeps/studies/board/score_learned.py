@@ -1,11 +1,10 @@
 """Score what was learned in RealAIGym's simulator with friction as their boards of simulations do.
 
-    python sweeps/studies/board/score_learned.py OUT.csv
+    python sweeps/studies/board/score_learned.py OUT.csv trials/*
 
-beside the folder `trials` of `+sweep=learned_on_their_simulator`. OUT.csv gets a row for each trial's last
-policy, and one for its first, if that failed. Scores are those of `score.py`, by noise and pushes of seed 20.
-The board's robot has no gap to the model; in two more columns it has the friction, slow motor, late
-measurements and noise that were learned with.
+OUT.csv gets a row for the last policy of each trial with `hardware=their_simulator`, and one for its first,
+if that failed. Scores are those of `score.py`, by noise and pushes of seed 20. The board's robot has no gap
+to the model; in two more columns it has the hardware's friction, slow motor, late measurements and noise.
 """
 
 from __future__ import annotations
@@ -23,10 +22,9 @@ from score import DRIVEN, UNDISTURBED, Asked, Scenario, performance, robustness,
 from searches import NOISE
 
 import simbias
-from simbias.sweep import results
-from simbias.sweep.grid import expand
+from simbias.trial.folder import TRIAL
 
-CONF, TRIALS = Path(__file__).parent / "conf", Path("trials")
+CONF = Path(__file__).parent / "conf"
 
 
 def gap_of(hardware: Mapping[str, Any], time_step: float, joint: int) -> Callable[[Scenario], Scenario]:
@@ -46,33 +44,37 @@ def gap_of(hardware: Mapping[str, Any], time_step: float, joint: int) -> Callabl
     return changed
 
 
-def scored(row: dict[Any, Any]) -> Iterator[dict[str, Any]]:
+def scored(folder: Path) -> Iterator[dict[str, Any]]:
     """The rows of a trial."""
-    trial, joint = simbias.load_trial(TRIALS / row["hash"], config_dir=CONF), DRIVEN.index(row["robot"])
-    changed = gap_of(trial.study.config["hardware"], trial.study.task.time_step, joint)
+    trial = simbias.load_trial(folder, config_dir=CONF)
+    config, joint = trial.study.config, int(trial.study.config["hardware"]["driven"] == "second")
+    changed = gap_of(config["hardware"], trial.study.task.time_step, joint)
     for index in sorted({0, len(trial.iterations) - 1}):
-        iteration = trial.iterations[index]
+        iteration, last = trial.iterations[index], index == len(trial.iterations) - 1
         study = trial.study.designed_on(iteration.model)
         law = Asked(study.policy, study.task, iteration.parameters)
-        last = iteration is trial.iterations[-1]
         yield {
-            **{name: row[name] for name in ("robot", "hash", "seed", "outcome")},
+            "robot": DRIVEN[joint],
+            "kind": config["policy"]["_target_"].split(".")[-2],
+            "hash": trial.study.hash,
+            "seed": config["seed"],
+            "outcome": str(trial.outcome),
             "policy": "last" if last else "first",
-            "experiments": int(row["experiments"]) if last else 0,
-            "test_episodes": row["test_episodes"].count("1") if last else "",  # of 10
+            "experiments": int(trial.summary.experiments_until_success) if last else 0,
+            "test_episodes": trial.summary.test_episodes.count("1") if last else "",  # of 10
             **scores(law, joint, NOISE),
             "robustness_with_gap": robustness(law, joint, NOISE, changed)["robustness"],
             "performance_with_gap": performance(law, joint, changed(UNDISTURBED)),
         }
 
 
-def main(out: Path) -> None:
+def main(out: Path, folders: list[Path]) -> None:
     """Score all trials."""
-    trials = results.of_folders(expand(["+sweep=learned_on_their_simulator"], CONF), TRIALS)
     with np.errstate(invalid="ignore"):  # where a robot spins out of all bounds
-        rows = [each for row in trials.to_dict("records") for each in scored(row)]
-    pd.DataFrame(rows).to_csv(out, index=False, float_format="%.4f", lineterminator="\n")
+        rows = pd.DataFrame([row for each in folders if (each / TRIAL).exists() for row in scored(each)])
+    rows = rows.sort_values(["kind", "robot", "seed", "hash", "policy"])
+    rows.to_csv(out, index=False, float_format="%.4f", lineterminator="\n")
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(Path(sys.argv[1]), [*map(Path, sys.argv[2:])])
