@@ -1,6 +1,6 @@
 """Score the last policy of a trial of a swing-up as RealAIGym's boards of simulations do (versions 2 and 3).
 
-    python sweeps/studies/board/score.py pendubot TRIAL NAME [--seed 0]
+    python sweeps/studies/board/score.py pendubot TRIAL NAME [--seed 0] [--config-dir CONF]
 
 TRIAL is the folder of a trial of `preset=pendubot_board` or `acrobot_board`, or another one of these robots'
 swing-ups whose control period is a whole number of their 2 ms. It writes `con_NAME.py`, a controller that
@@ -278,8 +278,9 @@ def main() -> None:
     parser.add_argument("trial", type=Path)
     parser.add_argument("name")
     parser.add_argument("--seed", type=int, default=0, help="of noise and pushes")
+    parser.add_argument("--config-dir", type=Path, help="of the trial's own components")
     arguments = parser.parse_args()
-    trial = simbias.load_trial(arguments.trial)
+    trial = simbias.load_trial(arguments.trial, config_dir=arguments.config_dir)
     last = trial.iterations[-1]
     study = trial.study.designed_on(last.model)
     policy, task, theta = study.policy, study.task, last.parameters
