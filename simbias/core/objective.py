@@ -73,6 +73,36 @@ class Mapped(Objective):
         return self._function(thetas, self._objective.rank(thetas))
 
 
+class Near(Objective):
+    """Costs of the points theta + z @ directions (..., p) of a box, by z (d,)."""
+
+    def __init__(
+        self, objective: Objective, theta: Array, directions: Array, lower: Array, upper: Array
+    ) -> None:
+        self._objective, self._theta, self._directions = objective, theta, directions
+        self._box = lower, upper
+        self.lockstep, self.fresh = objective.lockstep, objective.fresh
+        if objective.first_stage is not None:
+            self.first_stage = Near(objective.first_stage, theta, directions, lower, upper)
+
+    @property
+    def steps(self) -> int:  # type: ignore[override]
+        """Steps simulated so far."""
+        return self._objective.steps
+
+    def points(self, z: Array) -> Array:
+        """The points (..., p) of z (..., d)."""
+        return np.clip(self._theta + z @ self._directions, *self._box)
+
+    def together(self, thetas: Array) -> Array:
+        """Costs (k,) of z (k, d)."""
+        return self._objective.together(self.points(thetas))
+
+    def rank(self, thetas: Array) -> Array:
+        """Costs (k,) that rank z (k, d)."""
+        return self._objective.rank(self.points(thetas))
+
+
 def as_objective(function: Callable[[Array], float]) -> Objective:
     """Wrap a plain function as an objective; an objective is returned unchanged."""
     return function if isinstance(function, Objective) else OneByOne(function)

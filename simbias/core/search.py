@@ -12,7 +12,7 @@ import numpy as np
 
 from simbias.core.evaluations import Evaluations, SearchBudget
 from simbias.core.model import Model
-from simbias.core.objective import Objective, as_objective
+from simbias.core.objective import Near, Objective, as_objective
 from simbias.core.records import Array, Indices, Optimum, Rollout
 
 Reduction = Literal["sum", "max"]
@@ -132,6 +132,7 @@ class Optimizer(SearchBudget, ABC):
         rng: np.random.Generator,
         target_cost: float = np.inf,
         candidates: Iterable[Array] = (),
+        directions: Callable[[Array], Array] | None = None,
     ) -> Optimum:
         """The best point found in lower (p,) <= theta <= upper (p,); the objective's exceptions propagate.
 
@@ -141,12 +142,22 @@ class Optimizer(SearchBudget, ABC):
         them. If the objective has a first stage, that is searched before, with its own budget, until it is
         below the target if there is one; its best point is one more candidate.
 
+        If the best candidate has `directions` (d, p), only points near it are searched, by -1 to 1 along
+        each; candidates are then evaluated in addition to the budget.
+
         Raises
         ------
         ValueError
             If the box is empty or not finite, or a cost is not finite.
         """
         first = list(candidates)  # before the clock starts: making them may take a while
+        if first and directions is not None and len(directions(first[0])):
+            best = first[int(np.argmin(as_objective(objective).together(np.array(first))))]
+            near = Near(as_objective(objective), best, directions(best), lower, upper)
+            edge = np.ones(len(directions(best)))
+            found = self.minimize(near, -edge, edge, rng, target_cost, [np.zeros(len(edge))])
+            evaluations = found.evaluations + len(first)
+            return replace(found, parameters=near.points(found.parameters), evaluations=evaluations)
         easier, spent = as_objective(objective).first_stage, 0
         if easier is not None:
             ends = target_cost < np.inf

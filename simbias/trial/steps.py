@@ -16,7 +16,7 @@ from simbias.core.errors import ConfigError
 from simbias.core.objective import Mapped
 from simbias.core.records import Array, Iteration, Learning, Optimum, Rollout, Search, Transitions
 from simbias.policy.trajectory import Trajectory
-from simbias.search import around, lqr
+from simbias.search import lqr
 from simbias.search.optimizer.trajectory_candidates import trajectory_candidates
 from simbias.trial.observer import Observer
 from simbias.trial.study import Study
@@ -100,8 +100,10 @@ def _search(
         observer.searching(evaluations, best)
         return costs
 
-    watched = Mapped(objective, report)
-    optimum = around.minimize(study.optimizer, watched, study.policy, optimizer_rng, target_cost, candidates)
+    watched, policy = Mapped(objective, report), study.policy
+    optimum = study.optimizer.minimize(
+        watched, *policy.bounds, optimizer_rng, target_cost, candidates, policy.directions
+    )
     return optimum, objective(optimum.parameters)
 
 

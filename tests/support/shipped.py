@@ -30,6 +30,7 @@ NEEDED = {  # by options that say nothing of a robot
     "hardware=process": ["hardware.command=cat"],
     "hardware=mujoco": ["preset=cartpole", f"hardware.file={MODEL}"],
     "method=trajectory": ["preset=cartpole_trajectory"],
+    "preset=near_plan": ["policy=trajectory", "method=trajectory"],
     "nominal=mujoco": ["preset=cartpole", f"nominal.file={MODEL}"],
 }
 SHORT: dict[str, dict[str, Any]] = {  # at most

@@ -1,16 +1,17 @@
 """A search near a plan: its directions, and the optimum that it finds in them."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 import simbias
 from simbias.core.errors import ConfigError
-from simbias.core.objective import as_objective
 from simbias.core.records import Array
 from simbias.policy.trajectory import Trajectory
-from simbias.search import around
 from simbias.search.optimizer.cma import Cma
-from simbias.trial.run import run_trial
+from simbias.search.optimizer.ilqr import Shooting
+from simbias.trial.run import read_trial, run_trial
 from simbias.trial.study import Study
 
 KNOTS, SEARCHED = 21, 4
@@ -46,16 +47,23 @@ def test_the_optimum_is_the_nearest_policy_in_these_directions(planned: tuple[Tr
     policy, theta = planned
     z = np.random.default_rng(1).uniform(-0.5, 0.5, SEARCHED * 5)
     aim = theta + z @ policy.directions(theta)
-    objective = as_objective(lambda other: float(np.sum((other - aim) ** 2)))
     optimizer = Cma(initial_deviation=0.1, population=None, max_evaluations=4000, relative_tolerance=0.0)
-    worse = theta + 0.1
-    found = around.minimize(optimizer, objective, policy, np.random.default_rng(2), np.inf, [worse, theta])
+    found = optimizer.minimize(
+        lambda other: float(np.sum((other - aim) ** 2)),
+        *policy.bounds,
+        np.random.default_rng(2),
+        candidates=[theta + 0.1, theta],
+        directions=policy.directions,
+    )
     np.testing.assert_allclose(found.parameters, aim, atol=1e-3)
     assert found.evaluations <= 4000 + 2
 
 
 @pytest.mark.slow
-def test_a_trial_searches_near_its_plan(study: Study) -> None:
+def test_a_trial_searches_near_its_plan(
+    study: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its folder has the policy itself: reading it back needs no plan."""
     short = [
         "tracking=none",
         "task.horizon=100",
@@ -67,8 +75,13 @@ def test_a_trial_searches_near_its_plan(study: Study) -> None:
     compared, searched = (run_trial(simbias.load([*preset, *short])).iterations[0] for preset in presets)
     assert searched.search.predicted_cost < compared.search.predicted_cost
     assert 3 < searched.search.optimum.evaluations <= 64 + 3
-    policy = simbias.load([*NEAR, *short]).policy
-    np.testing.assert_array_equal(policy.planned(searched.parameters), policy.planned(compared.parameters))
+    near = simbias.load([*NEAR, *short])
+    plans = (near.policy.planned(each.parameters) for each in (searched, compared))
+    np.testing.assert_array_equal(*plans)
+    made = run_trial(near, tmp_path / near.hash)
+    monkeypatch.setattr(Shooting, "plan", None)
+    for again in (made, read_trial(near, tmp_path / near.hash)):
+        np.testing.assert_array_equal(again.iterations[0].parameters, searched.parameters)
 
 
 def test_without_a_plan_it_is_one_line(study: Study) -> None:
