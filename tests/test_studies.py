@@ -133,7 +133,6 @@ def test_intervals_of_a_drawn_robot_are_counted() -> None:
 
 def test_planners_solve_the_same_problem(study: Study, tmp_path: Path) -> None:
     """Once with formulas, once with an engine: IPOPT's plan is one of the model, and costs about as much."""
-    pytest.importorskip("casadi")
     short = ["--draws", "1", "--experiments", "0", "--set", "task.horizon=60"]
     printed = study("planners", str(tmp_path), "--presets", "cartpole_trajectory", "pendulum_swingup", *short)
     assert len(printed.splitlines()) == 2 + 2 * 3

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
-import casadi  # pip install 'casadi>=3.8,<4'
+import casadi
 import numpy as np
 
 from simbias.core import GoalWeights, Nominal, Task

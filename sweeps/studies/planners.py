@@ -1,6 +1,6 @@
 """Which plans are better: those of iterative LQR, or those of multiple shooting with IPOPT?
 
-    pip install 'casadi>=3.8,<4'
+    pip install 'simbias[mujoco,study]'
     python sweeps/studies/planners.py FOLDER [--presets PRESET ...] [--draws 5] [--experiments 5] [--jobs 2]
 
 For each preset that plans, on its nominal model and on draws from the model's prior, both planners solve the

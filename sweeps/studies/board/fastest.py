@@ -1,6 +1,6 @@
 """How long can the board's pendulum be up? Plan the fastest way up from where resets leave one that stood.
 
-    pip install 'casadi>=3.8,<4'
+    pip install 'simbias[study]'
     python sweeps/studies/board/fastest.py pendubot OUT.csv [--seeds 10] [--jobs 2]
 
 The robot is known and nothing disturbs it, so no policy is up for good sooner than the fastest plan. Plans
