@@ -79,9 +79,12 @@ class Near(Objective):
     def __init__(
         self, objective: Objective, theta: Array, directions: Array, lower: Array, upper: Array
     ) -> None:
+        if directions.shape != (len(directions), len(theta)) or not np.isfinite(directions).all():
+            expected = f"expected finite numbers of shape (d, {len(theta)})"
+            raise ValueError(f"directions: {expected}, got shape {directions.shape}")
         self._objective, self._theta, self._directions = objective, theta, directions
         self._box = lower, upper
-        self.lockstep, self.fresh = objective.lockstep, objective.fresh
+        self.lockstep, self.fresh, self.size = objective.lockstep, objective.fresh, len(directions)
         if objective.first_stage is not None:
             self.first_stage = Near(objective.first_stage, theta, directions, lower, upper)
 

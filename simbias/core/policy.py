@@ -49,7 +49,10 @@ class Policy(ABC):
         return self
 
     def directions(self, theta: Array) -> Array:
-        """Directions (d, p) of a search near the policy theta (p,), from -1 to 1 of each; none: the box."""
+        """Directions (d, p) of a search near the policy theta (p,), from -1 to 1 of each.
+
+        By default there are none, for any theta, and the box is searched.
+        """
         return np.empty((0, len(theta)))
 
     def imitating(self, states: Array, inputs: Array) -> Array | None:

@@ -142,21 +142,23 @@ class Optimizer(SearchBudget, ABC):
         them. If the objective has a first stage, that is searched before, with its own budget, until it is
         below the target if there is one; its best point is one more candidate.
 
-        If the best candidate has `directions` (d, p), only points near it are searched, by -1 to 1 along
-        each; candidates are then evaluated in addition to the budget.
+        If candidates have `directions` (d, p), only points near the best one are searched, by -1 to 1 along
+        each of its directions. Candidates and this search then have a budget each.
 
         Raises
         ------
         ValueError
-            If the box is empty or not finite, or a cost is not finite.
+            If the box is empty or not finite, a cost is not finite, or directions are not finite or not of
+            shape (d, p).
         """
         first = list(candidates)  # before the clock starts: making them may take a while
         if first and directions is not None and len(directions(first[0])):
-            best = first[int(np.argmin(as_objective(objective).together(np.array(first))))]
-            near = Near(as_objective(objective), best, directions(best), lower, upper)
-            edge = np.ones(len(directions(best)))
-            found = self.minimize(near, -edge, edge, rng, target_cost, [np.zeros(len(edge))])
-            evaluations = found.evaluations + len(first)
+            tried = Evaluations(objective, lower, upper, self, target_cost)
+            tried.try_first(first)
+            near = Near(as_objective(objective), tried.start, directions(tried.start), lower, upper)
+            edge = np.ones(near.size)
+            found = self.minimize(near, -edge, edge, rng, target_cost, [np.zeros(near.size)])
+            evaluations = found.evaluations + tried.count
             return replace(found, parameters=near.points(found.parameters), evaluations=evaluations)
         easier, spent = as_objective(objective).first_stage, 0
         if easier is not None:

@@ -77,7 +77,7 @@ def prepare(store: Tracking, variations: Variations, trials_engine: Engine) -> t
     for cell in sweep.cells:
         try:
             study = build(cell.composition)
-            study.method.check(study)
+            study.check()
             if study.conditions.confirm:
                 raise ConfigError("hardware.confirm", "must be false: a sweep cannot ask for confirmation")
         except ConfigError as error:

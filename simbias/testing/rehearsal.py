@@ -20,7 +20,7 @@ def rehearse(study: Study) -> None:
     A ConfigError gives component, method, expected and got if one breaks its contract or raises. It is also
     raised if a method cannot work with a component, or an experiment is too short to be meaningful.
     """
-    study.method.check(study)
+    study.check()
     task = study.task
     if (seconds := task.horizon * task.time_step) < LEAST_SECONDS:
         problem = f"{task.horizon} frames of {task.time_step:g} s are {seconds:g} s, too short for a failure"

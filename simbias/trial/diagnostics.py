@@ -190,7 +190,7 @@ def of_prediction(theta: Array, model: Model | None, study: Study) -> Iterator[R
         return
     rollout = _simulated_on(model, theta, model.task.start_mean, study.cost)
     if model.task.says_success:
-        planned = isinstance(model.policy, Trajectory) and getattr(study.method, "trajectories", 0) > 0
+        planned = isinstance(model.policy, Trajectory) and study.method.trajectories > 0
         yield from of_goal(rollout, model, planned)
     else:
         yield from of_starts(theta, model, study.cost)

@@ -96,7 +96,7 @@ def run_trial(study: Study, folder: Path | None = None, observer: Observer | Non
     KeyboardInterrupt
         When interrupted; completed steps are kept.
     """
-    study.method.check(study)
+    study.check()
     kept = None if folder is None else FolderRecord(folder, study)
     run = _Run(study, kept, observer or Observer())
     with threadpool_limits(1, user_api="blas"), kept.opened() if kept else nullcontext():

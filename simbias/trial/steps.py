@@ -7,11 +7,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from itertools import chain, tee
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from simbias.core import Model
+from simbias.core import Model, Policy
 from simbias.core.errors import ConfigError
 from simbias.core.objective import Mapped
 from simbias.core.records import Array, Iteration, Learning, Optimum, Rollout, Search, Transitions
@@ -101,8 +101,11 @@ def _search(
         return costs
 
     watched, policy = Mapped(objective, report), study.policy
+    near: dict[str, Any] = (
+        {} if type(policy).directions is Policy.directions else {"directions": policy.directions}
+    )
     optimum = study.optimizer.minimize(
-        watched, *policy.bounds, optimizer_rng, target_cost, candidates, policy.directions
+        watched, *policy.bounds, optimizer_rng, target_cost, candidates, **near
     )
     return optimum, objective(optimum.parameters)
 

@@ -147,6 +147,18 @@ class Study:
         """The maximum number of hardware experiments, in a trial that never succeeds."""
         return min(self.method.max_experiments, self.budget.experiments or self.method.max_experiments)
 
+    def check(self) -> None:
+        """Refuse components that do not go together, before anything is run.
+
+        Raises
+        ------
+        ConfigError
+            Naming the key.
+        """
+        if getattr(self.policy, "searched_knots", 0) and not self.method.trajectories:
+            raise ConfigError("policy.searched_knots", "needs a plan to search near: method=trajectory")
+        self.method.check(self)
+
     def simulate(
         self,
         theta: Array,

@@ -155,6 +155,7 @@ if __name__ == "__main__":
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--set", nargs="+", default=[], metavar="OVERRIDE", help="of every preset's config")
     given = parser.parse_args()
+    given.folder.mkdir(parents=True, exist_ok=True)
     each = [(preset, draw) for preset in given.presets for draw in range(given.draws + 1)]
     made = Parallel(given.jobs)(delayed(planned)(*one, given.experiments, given.set) for one in each)
     plans = pd.DataFrame([plan for rows in made for plan in rows])

@@ -84,7 +84,22 @@ def test_a_trial_searches_near_its_plan(
         np.testing.assert_array_equal(again.iterations[0].parameters, searched.parameters)
 
 
-def test_without_a_plan_it_is_one_line(study: Study) -> None:
-    other = simbias.load([*NEAR, "tracking=none", "method.trajectories=0"])
-    with pytest.raises(ConfigError, match=r"^policy\.searched_knots: needs a plan"):
-        run_trial(other)
+def test_without_a_plan_it_is_one_line() -> None:
+    """Also with a method that plans nothing."""
+    for other in (["method.trajectories=0"], ["~method.target_cost", "method=ideal"]):
+        with pytest.raises(ConfigError, match=r"^policy\.searched_knots: needs a plan"):
+            run_trial(simbias.load([*NEAR, "tracking=none", *other]))
+
+
+@pytest.mark.parametrize("wrong", [np.ones(3), np.ones((3, 2)), np.full((2, 3), np.nan)])
+def test_directions_of_another_shape_are_refused(wrong: Array) -> None:
+    optimizer = Cma(initial_deviation=0.1, population=None, max_evaluations=40, relative_tolerance=0.0)
+    with pytest.raises(ValueError, match=r"directions: expected finite numbers of shape \(d, 3\), got shape"):
+        optimizer.minimize(
+            lambda theta: float(theta @ theta),
+            -np.ones(3),
+            np.ones(3),
+            np.random.default_rng(0),
+            candidates=[np.zeros(3)],
+            directions=lambda theta: wrong,
+        )

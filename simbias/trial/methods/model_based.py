@@ -75,8 +75,8 @@ class ModelBased(Method):
         less on the corrected model. If the best one misses the goal and is refuted already, others are
         planned. Requires policy=trajectory.
     patient_plans
-        Whether a plan is improved until ten iterations save less than 0.01% instead of 1% of its cost, or for
-        500 iterations instead of 200.
+        Whether a plan is improved until ten iterations (three if it began at rest) save less than 0.01%
+        instead of 1% of its cost, or for 500 iterations instead of 200.
     random_experiments
         Experiments with random inputs instead of a policy before the first search (J in PILCO). They count as
         experiments, and are learned from.
@@ -123,8 +123,6 @@ class ModelBased(Method):
         list(self._known(study))
         if self.trajectories:
             follower(study.task, study.policy)
-        elif getattr(study.policy, "searched_knots", 0):
-            raise ConfigError("policy.searched_knots", "needs a plan to search near: method=trajectory")
         if self.random_experiments:
             _check_random_inputs(study.task)
 
