@@ -49,13 +49,11 @@ class OneByOne(Objective):
         return np.array([float(self._function(theta)) for theta in thetas])
 
 
-class Mapped(Objective):
-    """Another objective's costs, transformed by a function of thetas (k, p) and costs (k,)."""
+class _OfAnother(Objective):
+    """An objective whose costs come from another one's simulations."""
 
-    def __init__(
-        self, objective: Callable[[Array], float], function: Callable[[Array, Array], Array]
-    ) -> None:
-        self._objective, self._function = as_objective(objective), function
+    def __init__(self, objective: Callable[[Array], float]) -> None:
+        self._objective = as_objective(objective)
         self.lockstep, self.fresh = self._objective.lockstep, self._objective.fresh
         self.first_stage = self._objective.first_stage
 
@@ -63,6 +61,16 @@ class Mapped(Objective):
     def steps(self) -> int:  # type: ignore[override]
         """Steps simulated so far."""
         return self._objective.steps
+
+
+class Mapped(_OfAnother):
+    """Another objective's costs, transformed by a function of thetas (k, p) and costs (k,)."""
+
+    def __init__(
+        self, objective: Callable[[Array], float], function: Callable[[Array, Array], Array]
+    ) -> None:
+        super().__init__(objective)
+        self._function = function
 
     def together(self, thetas: Array) -> Array:
         """Costs (k,) of thetas (k, p)."""
@@ -73,25 +81,24 @@ class Mapped(Objective):
         return self._function(thetas, self._objective.rank(thetas))
 
 
-class Near(Objective):
+class Near(_OfAnother):
     """Costs of the points theta + z @ directions (..., p) of a box, by z (d,)."""
 
     def __init__(
-        self, objective: Objective, theta: Array, directions: Array, lower: Array, upper: Array
+        self,
+        objective: Callable[[Array], float],
+        theta: Array,
+        directions: Array,
+        lower: Array,
+        upper: Array,
     ) -> None:
         if directions.shape != (len(directions), len(theta)) or not np.isfinite(directions).all():
             expected = f"expected finite numbers of shape (d, {len(theta)})"
             raise ValueError(f"directions: {expected}, got shape {directions.shape}")
-        self._objective, self._theta, self._directions = objective, theta, directions
-        self._box = lower, upper
-        self.lockstep, self.fresh, self.size = objective.lockstep, objective.fresh, len(directions)
-        if objective.first_stage is not None:
-            self.first_stage = Near(objective.first_stage, theta, directions, lower, upper)
-
-    @property
-    def steps(self) -> int:  # type: ignore[override]
-        """Steps simulated so far."""
-        return self._objective.steps
+        super().__init__(objective)
+        self._theta, self._directions, self._box = theta, directions, (lower, upper)
+        if self.first_stage is not None:
+            self.first_stage = Near(self.first_stage, theta, directions, lower, upper)
 
     def points(self, z: Array) -> Array:
         """The points (..., p) of z (..., d)."""

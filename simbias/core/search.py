@@ -155,9 +155,9 @@ class Optimizer(SearchBudget, ABC):
         if first and directions is not None and len(directions(first[0])):
             tried = Evaluations(objective, lower, upper, self, target_cost)
             tried.try_first(first)
-            near = Near(as_objective(objective), tried.start, directions(tried.start), lower, upper)
-            edge = np.ones(near.size)
-            found = self.minimize(near, -edge, edge, rng, target_cost, [np.zeros(near.size)])
+            chosen = directions(tried.start)
+            near, edge = Near(objective, tried.start, chosen, lower, upper), np.ones(len(chosen))
+            found = self.minimize(near, -edge, edge, rng, target_cost, [np.zeros_like(edge)])
             evaluations = found.evaluations + tried.count
             return replace(found, parameters=near.points(found.parameters), evaluations=evaluations)
         easier, spent = as_objective(objective).first_stage, 0

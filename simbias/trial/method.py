@@ -27,7 +27,7 @@ class Method(ABC):
     max_iterations: int  # N_out
     experiments: int  # on hardware, at most per iteration
     random_experiments: int = 0  # before the first policy
-    trajectories: int = 0  # number of plans of a search
+    trajectories: int = 0  # planned for each search
 
     @cached_property
     def max_experiments(self) -> int:

@@ -46,8 +46,8 @@ def search(
     `posterior_scale`. The best optimum is returned, with the evaluations of all searches. Each first
     evaluates the last policies (p,), LQR policies of `lqr_candidates` models (`simbias.search.lqr`), and
     policies that follow the best of some trajectories (`simbias.search.optimizer.ilqr`), planned on the model
-    with or without its bias, for longer if `patient`, and others than the `refuted` policies (p,) if these
-    miss the goal there.
+    with or without its bias, and others than the `refuted` policies (p,) if these miss the goal there.
+    `patient` plans are improved for longer.
 
     Raises
     ------

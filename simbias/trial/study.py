@@ -29,6 +29,7 @@ from simbias.core.errors import ConfigError
 from simbias.core.records import Array, Disturbance, Iteration, Rollout, Selection, Transitions
 from simbias.lab.checked_hardware import DEFAULT_CONDITIONS, CheckedHardware, ExperimentConditions
 from simbias.lab.requests.request import ExperimentRequest
+from simbias.policy.trajectory import Trajectory
 from simbias.simulation.closed_loop import simulator
 from simbias.simulation.numpy_loop import shaped
 from simbias.trial.ask_tell import AskTell
@@ -155,7 +156,8 @@ class Study:
         ConfigError
             Naming the key.
         """
-        if getattr(self.policy, "searched_knots", 0) and not self.method.trajectories:
+        searched = isinstance(self.policy, Trajectory) and self.policy.searched_knots
+        if searched and not self.method.trajectories:
             raise ConfigError("policy.searched_knots", "needs a plan to search near: method=trajectory")
         self.method.check(self)
 
