@@ -195,11 +195,11 @@ def _unmerged(error: BaseException | None) -> ConfigError:
 
 def _no_such_key(key: str) -> ConfigError:
     """The error for a key that the config lacks."""
-    of_an_axis = re.search(r"\.(keys|values|labels)$|\.points(\.|$)", key)
+    of_an_axis = re.search(r"\.(keys|values|labels|only)$|\.points(\.|$)", key)
     if re.match(r"sweep\.axes(\.|$)", key) and not of_an_axis:
         axis = key[len("sweep.axes.") :] or "NAME"
         adds = f"'+sweep.axes={{{axis}: [...]}}' sets or adds an axis"
-        return ConfigError(key, f"no such key; {adds}; an axis has keys, values, labels and points")
+        return ConfigError(key, f"no such key; {adds}; an axis has keys, values, labels, points and only")
     if key.startswith("sweep."):
         return unknown([key], key, f"no such key; +{key}=... sets one that the sweep's file leaves out")
     if key.startswith("hardware.noise."):

@@ -10,6 +10,8 @@ from typing import Any, NotRequired, Required
 from simbias.config import ConfigError
 from simbias.config.components import validate
 
+ONLY = NotRequired[list[str | float] | None]
+
 
 @dataclass(frozen=True)
 class Axis:
@@ -57,7 +59,8 @@ def in_words(axes: Sequence[Axis], labels: Sequence[str]) -> str:
 def read_axis(name: str, spec: Any) -> Axis:
     """An axis: `key: [value, ...]`, `name: {keys, values, labels}` or `name: {points}`.
 
-    `points` maps labels to values by key; points may set different keys.
+    `points` maps labels to values by key; points may set different keys. `only` lists the labels of points to
+    keep.
     """
     from simbias.sweep.results import COLUMNS  # lazily: avoids an import cycle
     from simbias.sweep.tables import MEASURES
@@ -68,12 +71,15 @@ def read_axis(name: str, spec: Any) -> Axis:
     if not isinstance(spec, Mapping):
         spec = {"keys": name, "values": spec}
     if "points" in spec:
-        points = validate(spec, {"points": Required[dict[str, dict[str, Any]]]}, where)["points"]
-        return _checked(Axis(name, tuple(points.values()), tuple(points), tuple((text,) for text in points)))
+        checked = validate(spec, {"points": Required[dict[str, dict[str, Any]]], "only": ONLY}, where)
+        points = checked["points"]
+        axis = Axis(name, tuple(points.values()), tuple(points), tuple((text,) for text in points))
+        return _kept(_checked(axis), checked.get("only"))
     fields = {
         "keys": Required[str | list[str]],
         "values": Required[list[Any]],
         "labels": NotRequired[list[str | float]],
+        "only": ONLY,
     }
     if spec and not spec.keys() & fields.keys():
         key, value = name, spec
@@ -98,7 +104,20 @@ def read_axis(name: str, spec: Any) -> Axis:
         raise ConfigError(where, f"has {len(labels)} labels for {len(values)} values")
     texts = [[text] for text in labels] if one or "labels" in checked else [map(label, v) for v in values]
     points = tuple(dict(zip(written, value, strict=True)) for value in values)
-    return _checked(Axis(name, points, labels, tuple(map(tuple, texts))))
+    return _kept(_checked(Axis(name, points, labels, tuple(map(tuple, texts)))), checked.get("only"))
+
+
+def _kept(axis: Axis, only: Sequence[str | float] | None) -> Axis:
+    """The axis with the points of these labels, in its own order."""
+    if only is None:
+        return axis
+    where, wanted = f"sweep.axes.{axis.name}.only", [label(each) for each in only]
+    for each in wanted:
+        if each not in axis.labels:
+            raise ConfigError(where, f"no such point: {each}; there are {', '.join(axis.labels)}")
+    at = [index for index, text in enumerate(axis.labels) if text in wanted]
+    points, texts = tuple(axis.points[i] for i in at), tuple(axis.texts[i] for i in at)
+    return _checked(Axis(axis.name, points, tuple(axis.labels[i] for i in at), texts))
 
 
 def _checked(axis: Axis) -> Axis:

@@ -152,7 +152,7 @@ def test_bad_sweep() -> None:
         "sweep.axes.x.labels: no such key; +sweep.axes.x.labels=... sets one that": [
             "+sweep={trials: 1, axes: {x: {keys: bias.d, values: [1.0]}}}", "sweep.axes.x.labels=[a]"
         ],
-        "adds an axis; an axis has keys, values, labels and points": [
+        "adds an axis; an axis has keys, values, labels, points and only": [
             "+sweep={trials: 1, axes: {x: {keys: bias.d, values: [1.0]}}}", "sweep.axes.x.valus=[0.1]"
         ],
         "sweep.axes.x.keys: hardware.nosuch: no such key": [
@@ -191,6 +191,29 @@ def test_bad_axis() -> None:
     }.items():  # fmt: skip
         with one_line(rf"^sweep\.axes\.bias: {re.escape(message)}$"):
             read_axis("bias", spec)
+
+
+def test_only_keeps_points_by_their_labels() -> None:
+    points = {"points": {"a": {"bias": "none"}, "b": {"bias": "gp"}, "c": {"seed": 3}}}
+    axis = read_axis("x", points | {"only": ["c", "a"]})
+    assert (axis.labels, axis.points) == (("a", "c"), ({"bias": "none"}, {"seed": 3}))  # in the axis' order
+    assert read_axis("x", points | {"only": None}) == read_axis("x", points)
+    noise = {"keys": ["u", "v"], "values": [[0.0, 0.5], [1.0, 2.0]]}
+    assert read_axis("x", noise | {"only": ["1/2"]}) == read_axis("x", noise | {"values": [[1.0, 2.0]]})
+    single = {"keys": "u", "values": [0.25, 0.5]}
+    assert read_axis("x", single | {"only": [0.5]}).labels == ("0.5",)
+    for only, message in ((["d"], "x.only: no such point: d; there are a, b, c"), ([], "x: has no values")):
+        with one_line(re.escape(f"sweep.axes.{message}")):
+            read_axis("x", points | {"only": only})
+
+
+@pytest.mark.slow
+def test_some_points_of_a_sweep_are_some_of_its_trials() -> None:
+    whole = ["+sweep={trials: 2, axes: {x: {points: {a: {bias: none}, b: {bias: gp}}}}}"]
+    one, all_of_them = expand([*whole, "+sweep.axes.x.only=[b]"]), expand(whole)
+    assert one.hash == all_of_them.hash
+    assert (len(one.trials), len(all_of_them.trials)) == (2, 4)
+    assert identities(one).items() <= identities(all_of_them).items()
 
 
 def test_points_need_not_set_the_same_keys() -> None:
