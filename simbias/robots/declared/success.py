@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from simbias.core import Quantity, StudyWarning
+from simbias.core import Quantity, StudyWarning, Task
 from simbias.core.records import Array
 from simbias.robots.declared.declarations import Failure, criterion_of
 from simbias.robots.declared.reference import TIME
@@ -76,17 +76,32 @@ class Success:
 
     def shortfalls(self, states: Array, times: Array, errors: Array) -> Array:
         """How far (T+1, k) each frame is from the limits of the conditions that an episode misses."""
-        short = np.maximum(self._limits - self._measures(_rows_of(states, times, errors)), 0.0)
+        short = np.maximum(self.lacking(states, times, errors), 0.0)
         return short[:, ~(self._least(states, times, errors) > self._limits)]
 
+    def lacking(self, states: Array, times: Array, errors: Array) -> Array:
+        """By how much (k, c) states (k, .) at times (k,), with errors (k, g), miss each condition's limit."""
+        lacking: Array = self._limits - self._measures(_rows_of(states, times, errors))
+        return lacking
+
+    def times(self, task: Task) -> Array:
+        """The times in s of an episode's last frames, in which the conditions must hold."""
+        frames = np.arange(task.horizon + 1, dtype=np.float64)
+        return task.time_step * frames[-self._frames :]
+
     def missed(self, states: Array, times: Array, errors: Array) -> str:
-        """The conditions that do not hold, each with the value furthest from its bound."""
-        least = self._least(states, times, errors)
+        """The conditions that do not hold in the last seconds, with the values furthest from their bounds."""
+        last = (each[-self._frames :] for each in (states, times, errors))
+        return f"in its last {self._seconds:g} s {self.missed_by(*last)}"
+
+    def missed_by(self, states: Array, times: Array, errors: Array) -> str:
+        """The conditions that do not hold in all these rows, with the values furthest from their bounds."""
+        least = self._measures(_rows_of(states, times, errors)).min(axis=0)
         missed = []
         for (name, each), value, limit in zip(self._conditions.items(), least, self._limits, strict=True):
             if not value > limit:
                 missed.append(f"{name} is {_beside_bound(each, value, limit)}")
-        return f"in its last {self._seconds:g} s {'; '.join(missed)}"
+        return "; ".join(missed)
 
     def _least(self, states: Array, times: Array, errors: Array) -> Array:
         """The least of each measure in the last frames."""

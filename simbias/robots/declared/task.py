@@ -14,7 +14,7 @@ from simbias.core.files import ConfigFile
 from simbias.core.quantities import TURNS
 from simbias.core.ranges import Coordinate, Frames, Seconds, TimeStep
 from simbias.core.records import Array
-from simbias.core.task_checks import drawn_starts, varied_states
+from simbias.core.task_checks import check_quantities, drawn_starts, varied_states
 from simbias.robots.declared.declarations import (
     DrawnPart,
     Failure,
@@ -27,6 +27,7 @@ from simbias.robots.declared.declarations import (
     measure_of,
     push_of,
 )
+from simbias.robots.declared.reach import warn_out_of_reach
 from simbias.robots.declared.reference import (
     Reference,
     check_jumps,
@@ -125,6 +126,7 @@ class Declared(Task):
         self._set_outputs(dict(outputs or {}))
         self._set_failures(dict(failure or {}))
         self._set_goal(dict(goal or {}), reference)
+        check_quantities(self)  # first, as errors of angles need a turn
         self._set_success(dict(success or {}), hold, dict(failure or {}))
         self._warn_of_turns(dict(failure or {}), dict(success or {}))
         names = tuple(each.name for each in self.inputs)
@@ -236,8 +238,8 @@ class Declared(Task):
             )
         names = success_names(self._known["variables"], self._goals)
         measures = self._measures("success", success, names)
-        times = self.time_step * np.arange(self.horizon + 1)[-self.frames(hold) - 1 :]
-        self._success = Success(success, measures, len(times), hold)
+        self._success = Success(success, measures, self.frames(hold) + 1, hold)
+        times = self._success.times(self)
         errors = np.zeros((len(times), len(self._goals)))
         states = np.full((len(times), len(self._known["variables"])), np.nan)
         self._success.check_at(np.column_stack([states, times, errors]))
@@ -246,6 +248,7 @@ class Declared(Task):
         t = np.linspace(0.0, self.horizon * self.time_step, len(x))
         errors = np.random.default_rng(0).standard_normal((len(x), len(self._goals)))
         self._success.check_numbers(self._seen(x), t, errors)
+        warn_out_of_reach(self, self._success, self._seen)
         for key, start in self._starts.means.items() if len(times) > self.horizon else ():
             if not self.succeeds(start[None]):
                 raise ValueError(

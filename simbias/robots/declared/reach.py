@@ -1,0 +1,106 @@
+"""Whether a task can succeed at all: states that meet its conditions, sought by damped least squares."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+
+import numpy as np
+
+from simbias.core import StudyWarning, Task
+from simbias.core.records import Array
+from simbias.core.task_checks import drawn_starts
+from simbias.robots.declared.success import Success
+
+TIMES, DRAWS = 8, 8  # times, or drawn targets, for which states are sought; drawn starts of each search
+SPREAD = 2.0  # of further starts around the drawn ones, in the states' units
+STEPS = 60  # of a search
+SLOPE_STEP = 1e-6  # relative to a state, 1 at least
+SLIGHT = 1e-6  # of what a state lacks: nothing
+DAMPING = 4.0  # of a search's steps: factor, down if a step helps, else up
+TINY = 1e-12  # of the square of slopes: a search without any stays where it is
+
+
+def warn_out_of_reach(task: Task, success: Success, seen: Callable[[Array], Array]) -> None:
+    """Warn if no state was found that meets the conditions at some time, or for some drawn targets.
+
+    `seen` maps states (k, n) to the states and sensor values that conditions use.
+    """
+    rng, free = np.random.default_rng(0), len(task.states) - len(task.targets)
+    limits = np.array([criterion.limit for criterion in task.criteria])
+    draws = drawn_starts(task, rng)[:DRAWS]
+    last = success.times(task)
+    t = last[np.unique(np.linspace(0, len(last) - 1, TIMES, dtype=int))]
+    starts = np.vstack([task.start_mean, draws, draws + rng.normal(0.0, SPREAD, draws.shape)])
+    starts = np.tile(starts, (DRAWS if task.targets else len(t), 1, 1))
+    if task.targets:
+        t, starts[:, :, free:] = np.full(DRAWS, t[-1]), draws[:, None, free:]
+
+    def error(x: Array) -> Array:
+        return task.error(x, np.repeat(t, len(x) // len(t)))
+
+    def lacking(x: Array) -> Array:
+        short = success.lacking(seen(x), np.repeat(t, len(x) // len(t)), error(x))
+        return np.maximum(np.concatenate([short, task.measure(x) - limits], axis=1), 0.0)
+
+    with np.errstate(all="ignore"):
+        known = _slopes(lacking, starts.reshape(-1, starts.shape[-1]), free).reshape(len(t), -1).any(axis=1)
+        starts = np.concatenate([starts, nearest(error, starts, free)], axis=1)
+        x = nearest(lacking, starts, free)
+        least = _largest(lacking(x.reshape(-1, x.shape[-1]))).reshape(len(t), -1)
+    x = x[range(len(t)), least.argmin(axis=1)]
+    if not (missed := np.flatnonzero(known & (least.min(axis=1) > SLIGHT))).size:
+        return
+    first = missed[:1]
+    how = success.missed_by(seen(x[first]), t[first], task.error(x[first], t[first]))
+    which = f" for {missed.size} of {DRAWS} drawn targets" if task.targets else ""
+    words = f"success seems out of reach{which}: in the nearest state found, {how} at t = {t[first][0]:.3g} s"
+    warnings.warn(words, StudyWarning, stacklevel=5)
+
+
+def nearest(residuals: Callable[[Array], Array], starts: Array, free: int) -> Array:
+    """States (k, s, n) that reduce the squares of residuals, from starts (k, s, n) of k cases.
+
+    `residuals` maps states (k s r, n), case by case, to (k s r, c). Only the first `free` states change. The
+    search ends once each case has a state without residuals.
+    """
+    x = starts.reshape(-1, starts.shape[-1]).copy()
+    damping, r = np.full(len(x), 1e-3), residuals(x)
+    for _ in range(STEPS):
+        if (_largest(r).reshape(len(starts), -1).min(axis=1) <= SLIGHT).all():
+            break
+        J = _slopes(residuals, x, free)
+        square, downhill = J.transpose(0, 2, 1) @ J, J.transpose(0, 2, 1) @ _finite(r)[:, :, None]
+        sizes = np.trace(square, axis1=1, axis2=2)
+        square += (damping * sizes + TINY)[:, None, None] * np.eye(free)
+        moved = x.copy()
+        moved[:, :free] -= np.linalg.solve(square, downhill)[:, :, 0]
+        after = residuals(moved)
+        nearer = _total(after) < _total(r)
+        x[nearer], r[nearer] = moved[nearer], after[nearer]
+        damping *= np.where(nearer, 1 / DAMPING, DAMPING)
+    return x.reshape(starts.shape)
+
+
+def _slopes(residuals: Callable[[Array], Array], x: Array, free: int) -> Array:
+    """Slopes (k, c, free) of the residuals at states (k, n), by central differences."""
+    steps = np.zeros((len(x), 2 * free, x.shape[1]))
+    sizes = SLOPE_STEP * np.maximum(np.abs(x[:, :free]), 1.0)
+    steps[:, range(free), range(free)], steps[:, range(free, 2 * free), range(free)] = sizes, -sizes
+    around = residuals((x[:, None] + steps).reshape(-1, x.shape[1])).reshape(len(x), 2, free, -1)
+    return _finite((around[:, 0] - around[:, 1]) / (2 * sizes[:, :, None])).transpose(0, 2, 1)
+
+
+def _finite(values: Array) -> Array:
+    """Values with zeros in place of what is not finite."""
+    return np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0)
+
+
+def _largest(r: Array) -> Array:
+    """The largest magnitude (k,) of residuals (k, c); inf if one is no number."""
+    return np.nan_to_num(np.abs(r), nan=np.inf, posinf=np.inf).max(axis=1, initial=0.0)
+
+
+def _total(r: Array) -> Array:
+    """The sum (k,) of the squares of residuals (k, c); inf if one is no number."""
+    return np.nan_to_num((r**2).sum(axis=1), nan=np.inf, posinf=np.inf)
