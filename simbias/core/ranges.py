@@ -65,6 +65,8 @@ def frames_in(span: Span, time_step: float) -> int:
     return max(1, round(float(number) * unit / time_step))
 
 
+FigureWidth = Annotated[float, Field(ge=2.5, le=20)]  # in
+
 # Numbers without a unit, or with any.
 Share = Annotated[float, Field(gt=0, le=1)]
 Deviation = Annotated[float, Field(ge=1e-6, le=100)]  # in units of a box's width

@@ -21,7 +21,7 @@ from simbias.config.components import construct, validate
 from simbias.config.composition import NOT_HASHED
 from simbias.config.hydra_config import overridden
 from simbias.core.digest import short_digest
-from simbias.core.ranges import Share
+from simbias.core.ranges import FigureWidth, Share
 from simbias.sweep.axes import Axis, in_words, label, read_axis
 from simbias.sweep.figure import SweepFigure
 from simbias.sweep.statistics import BAR
@@ -171,7 +171,7 @@ def expanded(variations: Variations) -> Sweep:
         repetitions=values["trials"],
         dry_run=values.get("dry_run", False),
         report=_report(values.get("report", {}), axes),
-        figures=dict(_figures(values.get("figures", FIGURES if axes else {}), cells, base.own)),
+        figures=dict(_figures(values, cells, base.own)),
         figures_to=values.get("figures_to"),
     )
 
@@ -190,6 +190,7 @@ def _specification(base: Composition) -> dict[str, Any]:
         "report": NotRequired[dict[str, Any]],
         "figures": NotRequired[dict[FileName, Any]],
         "figures_to": NotRequired[str | None],
+        "figures_width": NotRequired[FigureWidth | None],
     }
     return validate(node, fields, "sweep")
 
@@ -296,9 +297,14 @@ def _report(spec: Mapping[str, Any], axes: Sequence[Axis]) -> Report:
     return Report(columns, tuple(measures), paper, checked.get("bar", BAR))
 
 
-def _figures(specs: Mapping[str, Any], cells: Sequence[Cell], own: Own) -> Iterator[tuple[str, SweepFigure]]:
-    """The figures, by the name of their files; arguments named `task` and `cells` are provided."""
+def _figures(values: Mapping[str, Any], cells: Sequence[Cell], own: Own) -> Iterator[tuple[str, SweepFigure]]:
+    """The figures, by the name of their files; arguments named `task`, `cells` and `width` are provided."""
+    specs = values.get("figures", FIGURES if values["axes"] else {})
+    width = {"width": values["figures_width"]} if values.get("figures_width") else {}
     first = cells[0].composition
     task = build_task(first.config["task"], first.own)
     for name, spec in specs.items():
-        yield name, construct(spec, SweepFigure, f"sweep.figures.{name}", own, task=task, cells=cells)
+        yield (
+            name,
+            construct(spec, SweepFigure, f"sweep.figures.{name}", own, task=task, cells=cells, **width),
+        )

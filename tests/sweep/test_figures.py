@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from errors import one_line
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 from simbias.config.build import build
 from simbias.core.proportions import wilson
-from simbias.pictures.elements.layout import legend
+from simbias.pictures.elements.layout import COLUMN, legend
+from simbias.sweep import results
 from simbias.sweep.batches import Outcomes
 from simbias.sweep.figure import FigureError, SweptTrials
 from simbias.sweep.figures.comparison import Comparison
@@ -200,6 +202,22 @@ def test_last_policies_are_dots_that_no_other_hides() -> None:
     assert min(np.hypot(*(a - b)) for a, b in itertools.combinations(places, 2)) > 3.2  # pt, of a dot
 
 
+def test_figures_fit_a_column_of_a_paper() -> None:
+    sweep = expand(["+sweep=gaps", f"+sweep.figures_width={COLUMN}"])
+    trials = swept(sweep, results.published(sweep).to_dict("records"))  # type: ignore[arg-type]
+    for figure in (sweep.figures["gaps"], Experiments(COLUMN)):
+        made = figure.draw(trials, ()).figure
+        assert made.get_figwidth() == COLUMN
+        made.draw_without_rendering()
+        boxes = [axes.xaxis.label.get_window_extent() for axes in made.axes]
+        assert all(left.x1 < right.x0 for left, right in itertools.pairwise(boxes))
+        assert all(box.x0 >= 0 and box.x1 <= made.bbox.width for box in boxes)
+        assert {text.get_fontsize() for axes in made.axes for text in axes.get_xticklabels()} == {8.0}
+    for width, words in (("1", "greater than or equal to 2.5"), ("wide", "number")):
+        with one_line(f"^sweep.figures_width: .*{words}"):
+            expand(["+sweep=gaps", f"+sweep.figures_width={width}"])
+
+
 @pytest.mark.filterwarnings("error")
 def test_labels_may_be_long_and_cells_alike_when_joined() -> None:
     points = "{no noise: {hardware.inertia_error: 0.1}, no $_$: {hardware.inertia_error: 0.2}}"
@@ -214,7 +232,9 @@ def test_labels_may_be_long_and_cells_alike_when_joined() -> None:
     trials = swept(sweep, [{**row, "lasting_episodes": "1111"} for row in rows])
     last = LastPolicies().draw(trials, ())
     assert "nine in ten trials do in 6 of 6 cells" in last.caption
-    for picture in (last, Experiments().draw(trials, ()), Comparison("a").draw(trials, ())):
+    drawn = [figure.draw(trials, ()) for figure in (Experiments(), Comparison("a"))]
+    drawn += [figure.draw(trials, ()) for figure in (LastPolicies(COLUMN), Experiments(COLUMN))]
+    for picture in (last, *drawn):
         picture.figure.draw_without_rendering()
         boxes = [axes.get_tightbbox() for axes in picture.figure.axes]  # with their labels
         assert all(box and box.x0 >= 0 and box.x1 <= picture.figure.bbox.width for box in boxes)

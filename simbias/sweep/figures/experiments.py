@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from simbias.core.proportions import CONFIDENCE
-from simbias.pictures.elements.layout import legend
+from simbias.pictures.elements.layout import PAGE, fitting, legend, letters
 from simbias.pictures.elements.style import literal, plain, series_style
 from simbias.sweep.batches import Outcomes
 from simbias.sweep.figure import NONE_ENDED, FigureError, Picture, SweepFigure, SweptTrials
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 
     from simbias.sweep.grid import Sweep
 
-WIDTH, REST = 7.2, 0.8  # in: width of two columns of a paper; height without the rows
+REST = 0.8  # in, height without the rows
 ROW, CURVE, LINE = 0.3, 0.16, 0.17  # in: minimum per point, per curve, per line of its label
-LETTERS = 40  # per line of a label
+CHARACTERS = 40  # per line of a label, across the page
 PAPER_BELOW = 0.06  # in, offset of the paper's mean below ours
 
 
@@ -40,6 +40,9 @@ class Experiments(SweepFigure):
 
     reads_trials = False
 
+    def __init__(self, width: float = PAGE) -> None:
+        self._width = width
+
     def draw(self, trials: SweptTrials, outcomes: Sequence[Outcomes]) -> Picture:
         """The picture; its numbers are the table of `simbias.sweep.tables.cells`."""
         if not trials.sweep.axes:
@@ -47,7 +50,9 @@ class Experiments(SweepFigure):
         table = cells(trials.table, trials.sweep)
         if not table["trials"].any():
             raise FigureError(NONE_ENDED)
-        return Picture(_figure(table, trials.sweep), table, _caption(table, failures(trials.table)))
+        return Picture(
+            _figure(table, trials.sweep, self._width), table, _caption(table, failures(trials.table))
+        )
 
 
 def _caption(table: pd.DataFrame, failing: str) -> str:
@@ -65,16 +70,16 @@ def _caption(table: pd.DataFrame, failing: str) -> str:
     )
 
 
-def _figure(table: pd.DataFrame, sweep: Sweep) -> Figure:
+def _figure(table: pd.DataFrame, sweep: Sweep, width: float) -> Figure:
     """The points of an axis, a curve for each combination of the others."""
     from matplotlib.figure import Figure  # lazily: a sweep is announced before drawing is needed
 
     along = next((axis for axis in sweep.axes if axis.name != sweep.report.columns), sweep.axes[0])
     others = [axis for axis in sweep.axes if axis is not along]
     curves = list(itertools.product(*(axis.labels for axis in others)))
-    labels = [fill(literal(", ".join(texts)), LETTERS) for texts in along.texts]
+    labels = [fill(literal(", ".join(texts)), fitting(CHARACTERS, width)) for texts in along.texts]
     row = max(ROW, CURVE * (1 + len(curves)), LINE * (1 + max(label.count("\n") for label in labels)))
-    figure = Figure(figsize=(WIDTH, row * len(labels) + REST), layout="constrained")
+    figure = Figure(figsize=(width, row * len(labels) + REST), layout="constrained")
     axes = figure.add_subplot()
     for index, point in enumerate(curves):
         own = table
@@ -84,10 +89,12 @@ def _figure(table: pd.DataFrame, sweep: Sweep) -> Figure:
         _curve(axes, own, offset, PAPER_BELOW / row, index, literal(", ".join(point)))
     axes.set_yticks(range(len(labels)), labels)
     axes.set_ylim(len(labels) - 0.4, -0.6)
-    axes.set_ylabel(", ".join(along.heads))
+    size = letters(width)
+    axes.tick_params(labelsize=size)
+    axes.set_ylabel(", ".join(along.heads), fontsize=size)
     axes.set_xlim(left=0)
     axes.locator_params(axis="x", integer=True)
-    axes.set_xlabel("hardware experiments until success")
+    axes.set_xlabel("hardware experiments until success", fontsize=size)
     plain(axes, "x")
     if len(curves) > 1 or bool(table["paper"].notna().any()):
         legend(figure, _ours_first(axes), literal(", ".join("/".join(axis.heads) for axis in others)))

@@ -11,16 +11,17 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
 from simbias.pictures.elements.dots import dot_marks, draw_dots
-from simbias.pictures.elements.layout import legend
+from simbias.pictures.elements.layout import PAGE, fitting, legend, letters
 from simbias.pictures.elements.style import HARDWARE, LIMIT, SIMULATION, literal, plain
 from simbias.sweep.batches import Outcomes
 from simbias.sweep.figure import UNTESTED, FigureError, Picture, SweepFigure, SweptTrials
 from simbias.sweep.grid import LASTS
 from simbias.sweep.tables import RELIABLE, failures, numbers_of_episodes, success_rate, untested
 
-ROW, REST, WIDTH = 0.3, 1.1, 7.2  # in: per cell; the rest; width
-LETTERS, LINE = 44, 0.17  # per line of a cell's label; in, its height
-RIGHTMOST = 1.06  # axis limit relative to the largest number of experiments, so that dots are not clipped
+ROW, REST = 0.3, 1.1  # in: per cell; the rest
+CHARACTERS, LINE = 44, 0.17  # per line of a cell's label, across the page; in, its height
+BESIDE = 0.06  # of an axis, beside its last dots across the page, so that they are not clipped
+WORDS = 36  # characters per line of an axis' label, across the page
 COLORS = {"experiments": SIMULATION, "success_rate": HARDWARE}
 
 
@@ -33,6 +34,9 @@ class LastPolicies(SweepFigure):
 
     reads_trials = False
     reads_tests = True
+
+    def __init__(self, width: float = PAGE) -> None:
+        self._width = width
 
     def draw(self, trials: SweptTrials, outcomes: Sequence[Outcomes]) -> Picture:
         """The picture; its numbers are a row for each trial.
@@ -60,7 +64,7 @@ class LastPolicies(SweepFigure):
         success = trials.sweep.success
         lasting = "test episodes that last\nfor the horizon"
         words = lasting if success == LASTS else "success rate of the last policy"
-        figure = _figure(numbers, [*map(trials.sweep.words, cells)], words)
+        figure = _figure(numbers, [*map(trials.sweep.words, cells)], words, self._width)
         caption = _caption(numbers, episodes, success, failures(trials.table))
         caption += untested(row["test_episodes"] for row in trials.rows)
         return Picture(figure, numbers, caption)
@@ -79,22 +83,26 @@ def _caption(numbers: pd.DataFrame, episodes: str, success: str, failing: str) -
     )
 
 
-def _figure(numbers: pd.DataFrame, cells: Sequence[str], words: str) -> Figure:
+def _figure(numbers: pd.DataFrame, cells: Sequence[str], words: str, width: float) -> Figure:
     """Experiments beside shares, with a row for each cell, the first on top."""
-    labels = [fill(literal(cell), LETTERS) for cell in cells]
+    labels = [fill(literal(cell), fitting(CHARACTERS, width)) for cell in cells]
     row = max(ROW, LINE * (1 + max(label.count("\n") for label in labels)))
-    figure = Figure(figsize=(WIDTH, row * len(cells) + REST), layout="constrained")
+    figure = Figure(figsize=(width, row * len(cells) + REST), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1, 1.6))
     for axes, column, label in ((left, "experiments", "experiments"), (right, "success_rate", words)):
         for place in range(len(cells)):
             own = numbers[numbers.index == place]
             succeeded = own["succeeded"].to_numpy(dtype=bool)
             draw_dots(axes, place, own[column].to_numpy(dtype=float), succeeded, COLORS[column])
-        axes.set_xlabel(label)
+        axes.set_xlabel(
+            fill(label, fitting(WORDS, width)) if width < PAGE else label, fontsize=letters(width)
+        )
+        axes.tick_params(labelsize=letters(width))
         plain(axes, "x")
-    left.set_xlim(0, RIGHTMOST * numbers["experiments"].max())
+    beside = BESIDE * PAGE / width
+    left.set_xlim(0, (1 + beside) * numbers["experiments"].max())
     left.xaxis.set_major_locator(MaxNLocator(4, integer=True))
-    right.set_xlim(-0.03, 1.03)
+    right.set_xlim(-beside / 2, 1 + beside / 2)
     right.xaxis.set_major_formatter(PercentFormatter(1.0))
     right.axvline(RELIABLE, color=LIMIT, linewidth=0.8, linestyle="--", zorder=0)
     left.set_yticks(range(len(cells)), labels)
