@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -144,18 +144,13 @@ def horizons(task: Task, longest: int) -> list[int]:
     return [k for k in sorted({task.frames(seconds) for seconds in HORIZONS}) if k <= longest]
 
 
-def over_recorded(
-    task: Task, nominal: Nominal, rollouts: Sequence[Rollout]
-) -> Callable[[Sequence[Rollout]], float]:
-    """Ratio of a model's errors on changed rollouts to those as recorded: mean over states and horizons."""
-    ahead = horizons(task, max(rollout.frames for rollout in rollouts))
-    recorded = [errors(nominal, rollouts, k) for k in ahead]
-
-    def over(changed: Sequence[Rollout]) -> float:
-        pairs = zip(ahead, recorded, strict=True)
-        return geometric_mean(np.array([ratio(errors(nominal, changed, k), each) for k, each in pairs]))
-
-    return over
+def over_changes(task: Task, nominal: Nominal, rollouts: Sequence[Rollout]) -> float:
+    """Ratio of a model's errors to the recorded changes of the states: mean over states and horizons."""
+    ratios = []
+    for k in horizons(task, max(rollout.frames for rollout in rollouts)):
+        wrong = errors(nominal, rollouts, k)
+        ratios.append(ratio(wrong, changes(np.zeros_like(wrong), rollouts, k)))
+    return geometric_mean(np.array(ratios))
 
 
 def _known(learned: Sequence[tuple[Nominal, Sequence[Rollout]]], frames: int) -> HeldOutErrors:

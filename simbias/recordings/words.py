@@ -91,8 +91,8 @@ def _mistakes(assessment: Assessment) -> str:
     for words, times, recordings in assessment.mistakes:
         where = f" (in {', '.join(recordings)} alone)" if recordings else ""
         also = ", too," if said else ","
-        said += f" With {words}{where}{also} the nominal model's errors are {times:.2f} times as large"
-        said += ": check the recorded sign and column."
+        said += f" With {words}{where}{also} the nominal model's errors are {times:.2g} times as large"
+        said += ": check the recording's signs, columns and units."
     return said
 
 

@@ -157,7 +157,8 @@ def test_signs_and_columns_that_are_mistaken_are_named(
     first, *others = (part.rollouts for part in assessment.parts)
     names = [each.name for each in (*task.states, *task.inputs)]
     for change in changes(task):
-        wrong = {str(i): change.of(each) for i, each in enumerate((first, *others))}
+        inverse = change._replace(factors=1 / change.factors)
+        wrong = {str(i): inverse.of(each) for i, each in enumerate((first, *others))}
         ((words, times, recordings),) = mistakes(task, both[:1], wrong)
         assert words == change.words
         assert not recordings
@@ -167,6 +168,8 @@ def test_signs_and_columns_that_are_mistaken_are_named(
         f"the sign of {names[4]} and {names[5]} reversed",
         f"{names[4]} and {names[5]} swapped",
         f"{names[0]} and {names[1]}, {names[2]} and {names[3]} swapped",
+        *(f"{' and '.join(names[i:4:2])} taken as deg" for i in (0, 1)),
+        f"{' and '.join(names[i] for i in (0, 2, 1, 3))} taken as deg",
     ]
     torque, *_, joint = changes(task)[:4]
     brief = [replace(each, states=each.states[:4], inputs=each.inputs[:3]) for each in first]
@@ -179,12 +182,14 @@ def test_signs_and_columns_that_are_mistaken_are_named(
     assert [assessment.sound, mistaken.sound] == [True, False]
     assert beginning(mistaken).startswith("Before a trial, correct the recordings")
     assert verdict(mistaken).endswith(
-        f" With {words} (in b.csv alone), the nominal model's errors are {times:.2f} times as large: "
-        "check the recorded sign and column."
+        f" With {words} (in b.csv alone), the nominal model's errors are {times:.2g} times as large: "
+        "check the recording's signs, columns and units."
     )
+    signs = [each for each in changes(task) if not each.of_unit]
+    monkeypatch.setattr("simbias.recordings.mistakes.changes", lambda task: [*signs])
     monkeypatch.setattr(
-        "simbias.recordings.mistakes.over_recorded",
-        lambda task, model, rollouts: lambda changed: ratios[model],
+        "simbias.recordings.mistakes.over_changes",
+        lambda task, model, rollouts: 1.0 if rollouts[0] is first[0] else ratios[model],
     )
     ratios, rollouts = dict(zip(both, (0.6, 60.0), strict=True)), {"a": first}
     assert not mistakes(task, both, rollouts)
