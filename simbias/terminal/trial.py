@@ -258,11 +258,9 @@ class TrialConsole(Observer):
             say(self._console, f"{withdrawal}.", "yellow")
         for finding in summary.findings:
             say(self._console, finding)
-        drawn = 0 if record.iterations else record.study.method.random_experiments
-        for what, made in (
-            ("Random experiments", record.unfinished[:drawn]),
-            ("Experiments of an unfinished iteration", record.unfinished[drawn:]),
-        ):
+        method, first = record.study.method, not record.iterations
+        whats = "Random experiments", "Experiments of an unfinished iteration"
+        for what, made in zip(whats, method.split(record.unfinished, first), strict=True):
             if made:
                 say(self._console, f"{what}: {'  '.join(map(self._experiment_text, made)).strip()}.")
         if where:

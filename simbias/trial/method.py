@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from simbias.core.records import Iteration
+from simbias.core.records import Iteration, Rollout
 from simbias.trial.observer import Observer
 
 if TYPE_CHECKING:
@@ -37,6 +37,13 @@ class Method(ABC):
     def passes_of(self, policy: int) -> int:
         """Experiments that the trial's policy of this number, from 0, has to pass; it runs no more."""
         return self.experiments
+
+    def split(
+        self, unfinished: Sequence[Rollout], first: bool
+    ) -> tuple[Sequence[Rollout], Sequence[Rollout]]:
+        """The experiments of an unfinished iteration, perhaps the first: random ones; those of a policy."""
+        drawn = self.random_experiments if first else 0
+        return unfinished[:drawn], unfinished[drawn:]
 
     def check(self, study: Study) -> None:  # noqa: B027 (most methods accept any)
         """Refuse components that the method cannot work with, before anything is run.

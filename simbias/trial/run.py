@@ -196,8 +196,7 @@ class _Run(Observer):
         why = "; ".join(diagnostics.of_experiments(tried, self._study))
         told = [f"Of the last policy, {why}."] if why else []
         if self._unfinished:
-            first = 0 if last else self._study.method.random_experiments
-            drawn, made = self._unfinished[:first], self._unfinished[first:]
+            drawn, made = self._study.method.split(self._unfinished, first=last is None)
             passed = f"{sum(map(self._study.passes, made))} of {counted(len(made), 'experiment')}"
             policy = "A further policy" if last else "The only policy"
             done = f"{policy} had passed {passed}" if made else "No policy had been tried"
