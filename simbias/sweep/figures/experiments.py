@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from simbias.core.proportions import CONFIDENCE
+from simbias.core.ranges import FigureWidth
 from simbias.pictures.elements.layout import PAGE, fitting, legend, letters
 from simbias.pictures.elements.style import literal, plain, series_style
 from simbias.sweep.batches import Outcomes
@@ -40,7 +41,7 @@ class Experiments(SweepFigure):
 
     reads_trials = False
 
-    def __init__(self, width: float = PAGE) -> None:
+    def __init__(self, width: FigureWidth = PAGE) -> None:
         self._width = width
 
     def draw(self, trials: SweptTrials, outcomes: Sequence[Outcomes]) -> Picture:

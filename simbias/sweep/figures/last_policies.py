@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
+from simbias.core.ranges import FigureWidth
 from simbias.pictures.elements.dots import dot_marks, draw_dots
 from simbias.pictures.elements.layout import PAGE, fitting, legend, letters
 from simbias.pictures.elements.style import HARDWARE, LIMIT, SIMULATION, literal, plain
@@ -35,7 +36,7 @@ class LastPolicies(SweepFigure):
     reads_trials = False
     reads_tests = True
 
-    def __init__(self, width: float = PAGE) -> None:
+    def __init__(self, width: FigureWidth = PAGE) -> None:
         self._width = width
 
     def draw(self, trials: SweptTrials, outcomes: Sequence[Outcomes]) -> Picture:
