@@ -21,6 +21,7 @@ class Axis:
     points: tuple[Mapping[str, Any], ...]  # values by key; a new key is prefixed with +
     labels: tuple[str, ...]  # label of each point
     texts: tuple[tuple[str, ...], ...]  # for each point, a text per column of a table
+    left_out: tuple[str, ...] = ()  # labels of declared points that are not run
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -117,7 +118,8 @@ def _kept(axis: Axis, only: Sequence[str | float] | None) -> Axis:
             raise ConfigError(where, f"no such point: {each}; there are {', '.join(axis.labels)}")
     at = [index for index, text in enumerate(axis.labels) if text in wanted]
     points, texts = tuple(axis.points[i] for i in at), tuple(axis.texts[i] for i in at)
-    return _checked(Axis(axis.name, points, tuple(axis.labels[i] for i in at), texts))
+    labels, rest = tuple(axis.labels[i] for i in at), tuple(set(axis.labels) - set(wanted))
+    return _checked(Axis(axis.name, points, labels, texts, rest))
 
 
 def _checked(axis: Axis) -> Axis:

@@ -162,6 +162,9 @@ def test_comparisons_numbers_are_those_of_the_trials() -> None:
         Comparison("method").draw(untested, ())
     with pytest.raises(FigureError, match="no such axis or point: method, LQX"):
         Comparison("method", ["LQX"]).draw(made_up({"LQI": ["1"] * 3}), ())
+    fewer = made_up({"LQI": ["1"] * 3})
+    axes = [replace(axis, left_out=("LQX",)) if axis.name == "method" else axis for axis in sweep.axes]
+    Comparison("method", ["LQX"]).draw(replace(fewer, sweep=replace(sweep, axes=tuple(axes))), ())
 
 
 def test_last_policies_are_dots_that_no_other_hides() -> None:

@@ -1,5 +1,6 @@
 import random
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -199,7 +200,8 @@ def test_only_keeps_points_by_their_labels() -> None:
     assert (axis.labels, axis.points) == (("a", "c"), ({"bias": "none"}, {"seed": 3}))  # in the axis' order
     assert read_axis("x", points | {"only": None}) == read_axis("x", points)
     noise = {"keys": ["u", "v"], "values": [[0.0, 0.5], [1.0, 2.0]]}
-    assert read_axis("x", noise | {"only": ["1/2"]}) == read_axis("x", noise | {"values": [[1.0, 2.0]]})
+    one = read_axis("x", noise | {"only": ["1/2"]})
+    assert one == replace(read_axis("x", noise | {"values": [[1.0, 2.0]]}), left_out=("0/0.5",))
     single = {"keys": "u", "values": [0.25, 0.5]}
     assert read_axis("x", single | {"only": [0.5]}).labels == ("0.5",)
     for only, message in ((["d"], "x.only: no such point: d; there are a, b, c"), ([], "x: has no values")):

@@ -76,9 +76,9 @@ class Comparison(SweepFigure):
         FigureError
             If no policy was tested, no trial ended without an error, or there is no such axis or point.
         """
-        labels = {axis.name: axis.labels for axis in trials.sweep.axes}
+        labels = {axis.name: {*axis.labels, *axis.left_out} for axis in trials.sweep.axes}
         named = [*self._references, *self._curves]
-        if self._axis not in labels or set(named) - set(labels[self._axis]):
+        if self._axis not in labels or set(named) - labels[self._axis]:
             raise FigureError(f"no such axis or point: {self._axis}, {', '.join(named)}")
         if not any(row["test_episodes"] for row in trials.rows):
             raise FigureError(UNTESTED)
