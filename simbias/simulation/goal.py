@@ -12,6 +12,7 @@ from simbias.core.records import Array
 from simbias.simulation.linearization import STEP, input_scale, linearization
 
 BALANCED, ROUNDS = 1e-9, 5  # negligible change of states per frame, in their units; steps of the search
+MET = 1e-6  # of a goal's error, and of the slopes by which it determines states: none
 SLIGHT = 0.01  # of the inputs' largest effect on a state in a frame: states that change less are held
 
 
@@ -46,6 +47,24 @@ def resting_goal(task: Task) -> Array | None:
         warnings.warn(words, StudyWarning, stacklevel=2)
         return None
     return x if x.any() else None
+
+
+def goal_at_rest(task: Task, near: Array) -> Array | None:
+    """The states (n,), near others, in which a goal that does not move is met at rest.
+
+    None if it moves, cannot be met at rest, or does not determine all other states.
+    """
+    from scipy.optimize import least_squares  # lazily, as below
+
+    goal, still = goal_along(task), [rate for _, rate in rate_pairs(task.states)]
+    if moves(goal):
+        return None
+    if task.goals == task.states:
+        return np.array(goal[-1])
+    end = task.horizon * task.time_step
+    found = least_squares(lambda x: np.concatenate([task.error(x, end), x[still]]), near, xtol=1e-12)
+    met = np.abs(found.fun).max() <= MET and np.linalg.matrix_rank(found.jac, MET) == len(near)
+    return np.array(found.x) if met else None
 
 
 def holding(task: Task, nominal: Nominal, x: Array) -> Array:

@@ -83,6 +83,11 @@ class PolicyTestResult:
         return float(np.mean([each == "1" for each in self.successes]))
 
     @property
+    def _usual(self) -> tuple[Episode, ...]:
+        """The episodes that are not longer than the task's horizon."""
+        return tuple(episode for episode in self.episodes if episode.asked_seconds <= self.horizon)
+
+    @property
     def long_episodes(self) -> tuple[Episode, ...]:
         """The episodes that are longer than the task's horizon."""
         return tuple(episode for episode in self.episodes if episode.asked_seconds > self.horizon)
@@ -100,8 +105,7 @@ class PolicyTestResult:
     @property
     def uptime(self) -> float:
         """Mean uptime of the episodes, without long ones if there are others; nan without conditions."""
-        usual = [each for each in self.episodes if each.asked_seconds <= self.horizon]
-        return float(np.mean([each.uptime for each in usual or self.episodes]))
+        return float(np.mean([each.uptime for each in self._usual or self.episodes]))
 
     @property
     def words(self) -> str:
@@ -118,7 +122,9 @@ class PolicyTestResult:
         long = f"{self.long_episodes[0].asked_seconds:g} s"
         of = f" of {self.horizon:g} s"
         if not lasting:  # success is decided at an episode's own end
-            of = f": {len(self.episodes) - count}{of} and {count} of {long}"
+            parts = ((self._usual, of), (self.long_episodes, f" of {long}"))
+            each = (f"{s[1:]}: {sum(map(self._succeeds, some))} of {len(some)}" for some, s in parts if some)
+            of = f" ({'; '.join(each)})"
         average = f"they last {self.long_seconds:.0f} s on average"
         return f"{said}{of}, and lasts in {lasted} of {long} ({average}){uptime}."
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from in_numpy import simulate_in_numpy
-from mechanisms import shipped_task
+from mechanisms import declared, shipped_task
 from models import with_values
 from scipy.linalg import solve_discrete_are
 
@@ -24,7 +24,7 @@ from simbias.search.optimizer.ilqr import Shooting, _unfailing
 from simbias.search.optimizer.riccati import regulator, solved
 from simbias.search.optimizer.trajectory_candidates import trajectory_candidates
 from simbias.simulation.closed_loop import simulator
-from simbias.simulation.goal import goal_along
+from simbias.simulation.goal import goal_along, goal_at_rest
 from simbias.simulation.linearization import linearization
 from simbias.trial.methods.model_based import ModelBased
 from simbias.trial.run import run_trial
@@ -170,6 +170,19 @@ def test_patient_plans_are_improved_for_longer(uncompiled: None, monkeypatch: py
     (last,) = run_trial(study).iterations
     candidates = trajectory_candidates([model], study.method.trajectories, weights, patient=True)
     assert min(np.abs(theta - last.parameters).max() for theta in candidates) < 1e-9
+
+
+def test_a_goal_of_outputs_that_determines_the_states_at_rest_is_where_a_policy_ends() -> None:
+    outputs = {"hook": {"value": "position + 0.5 * sin(angle)"}, "lean": {"value": "2 * angle"}}
+
+    def rests(near: float, **goal: str) -> np.ndarray | None:
+        return goal_at_rest(declared(outputs=outputs, goal=goal), np.array([near, 0.3, 0.2, -0.1]))
+
+    for near in (0.0, 0.7):
+        np.testing.assert_allclose(rests(near, hook="0.25", lean="0"), [0.25, 0, 0, 0], atol=1e-9)
+        assert rests(near, hook="0.25") is None  # anywhere between position and angle
+        assert rests(near, hook="0.1 * t", lean="0") is None
+    np.testing.assert_array_equal(goal_at_rest(declared(), np.ones(4)), np.zeros(4))
 
 
 def test_a_goal_that_wraps_is_planned_for_the_shorter_way() -> None:

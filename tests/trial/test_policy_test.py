@@ -128,7 +128,7 @@ def test_its_result_in_numbers_and_words() -> None:
     counts, lasts = "in 2 of 3 (21% to 94%) test episodes", ", and lasts in 1 of 2 (9% to 91%) of 60 s ("
     assert f"Its last policy lasts without a failure {counts} of 5 s{lasts}" in result.words
     own = PolicyTestResult(5.0, tuple(each._replace(succeeds=each.seconds > 5) for each in episodes))
-    assert f"Its last policy succeeds {counts}: 1 of 5 s and 2 of 60 s{lasts}" in own.words
+    assert f"Its last policy succeeds {counts} (of 5 s: 0 of 1; of 60 s: 2 of 2){lasts}" in own.words
     assert "they last 34 s on average" in result.words
     shares = tuple(each._replace(uptime=share) for each, share in zip(episodes, (0.5, 0.3, 0.1), strict=True))
     up = PolicyTestResult(5.0, shares)

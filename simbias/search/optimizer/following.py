@@ -17,7 +17,7 @@ from simbias.core.records import Array
 from simbias.policy.trajectory import Trajectory
 from simbias.search.lqr import rest
 from simbias.search.optimizer.riccati import regulator, solved
-from simbias.simulation.goal import goal_along, moves
+from simbias.simulation.goal import goal_at_rest
 from simbias.simulation.linearization import advanced, derivatives, linear_regulator, linearization
 
 STEP = 1e-3  # step of differences: of states, and of inputs relative to their limits
@@ -55,8 +55,8 @@ class Following:
     def policies(self, plan: Plan, policy: Trajectory, input_weights: Sequence[float]) -> Iterator[Array]:
         """Parameters (p,) of the policy that follows a plan, for each weight of inputs at their limits.
 
-        If the goal covers all states and does not move, it is an equilibrium: the last knot lies there, with
-        the gains of an infinite horizon.
+        If the goal does not move and determines all states at rest, it is an equilibrium: the last knot lies
+        there, with the gains of an infinite horizon.
 
         For a plan with sliding joints, inputs compensate for the friction along it. Further gains act on
         small deviations from rest; they rely on the friction of joints that no input moves.
@@ -66,9 +66,8 @@ class Following:
         M, Q = slopes(plan.states, plan.inputs), self._state_weights(plan.states, plan.held)
         x, u = plan.states, np.concatenate([plan.inputs, plan.inputs[-1:]])
         final, settled = None, len(x)
-        goal = goal_along(task)
-        if task.goals == task.states and not moves(goal):
-            x_rest, u_rest = rest(self.model, goal[-1])
+        if (goal := goal_at_rest(task, x[-1])) is not None:
+            x_rest, u_rest = rest(self.model, goal)
             x_rest = x[-1] - wrapped(x[-1] - x_rest, task.states)
             final = slopes(np.tile(x_rest, (2, 1)), u_rest[None])
             x, u = np.concatenate([x[:-1], [x_rest]]), np.concatenate([u[:-1], [u_rest]])
