@@ -15,48 +15,63 @@ from simbias.core.records import Array
 from simbias.core.task_checks import drawn_starts
 from simbias.robots.declared.success import Success
 
-TIMES, DRAWS = 8, 8  # times, or drawn targets, for which states are sought; drawn starts of each search
-SPREAD = 2.0  # of further starts around the drawn ones, in the states' units
-STEPS = 60  # of a search
+TIMES, STARTS = 8, 24  # times, or drawn targets, for which states are sought; starts of each search
+FEW = 3  # of both, where expressions use a MuJoCo model's sensors, which takes a thousand times as long
+MAGNITUDES = 0.0, 2.5  # of the starts' deviations from drawn ones, decimal logarithms in the states' units
+STEPS = 200  # of a search
+NEARER = 0.9  # of what the worst start lacks: a search has come nearer
 SLOPE_STEP = 1e-6  # relative to a state, 1 at least
 SLIGHT = 1e-6  # of what a state lacks: nothing
 DAMPING = 4.0  # of a search's steps: factor, down if a step helps, else up
 TINY = 1e-12  # of the square of slopes: a search without any stays where it is
 
 
-def warn_out_of_reach(task: Task, success: Success, seen: Callable[[Array], Array]) -> None:
+def warn_out_of_reach(task: Task, success: Success, seen: Callable[[Array], Array], slow: bool) -> None:
     """Warn if no state was found that meets the conditions at some time, or for some drawn targets.
 
-    `seen` maps states (k, n) to the states and sensor values that conditions use.
+    `seen` maps states (k, n) to the states and sensor values that conditions use. Nothing is said if searches
+    do not come nearer, such as to a narrow bell from afar.
     """
     rng, free = np.random.default_rng(0), len(task.states) - len(task.targets)
     limits = np.array([criterion.limit for criterion in task.criteria])
-    draws = drawn_starts(task, rng)[:DRAWS]
-    last = success.times(task)
-    t = last[np.unique(np.linspace(0, len(last) - 1, TIMES, dtype=int))]
-    starts = np.vstack([task.start_mean, draws, draws + rng.normal(0.0, SPREAD, draws.shape)])
-    starts = np.tile(starts, (DRAWS if task.targets else len(t), 1, 1))
+    cases, count = (FEW, FEW) if slow else (TIMES, STARTS)
+    last, drawn = success.times(task), drawn_starts(task, rng)
+    t = last[np.linspace(0, len(last) - 1, cases, dtype=int)]
+    starts = np.tile(drawn[:count], (cases, 1, 1))
+    starts[:, 0] = task.start_mean
+    few = count // 3  # near the drawn ones
+    far = starts[:, few:]
+    far += rng.choice([-1.0, 1.0], far.shape) * 10.0 ** rng.uniform(*MAGNITUDES, far.shape)
     if task.targets:
-        t, starts[:, :, free:] = np.full(DRAWS, t[-1]), draws[:, None, free:]
+        t = np.full(cases, last[-1])
+        starts[:, :, free:] = drawn[:cases, None, free:]
 
     def error(x: Array) -> Array:
         return task.error(x, np.repeat(t, len(x) // len(t)))
 
     def lacking(x: Array) -> Array:
         short = success.lacking(seen(x), np.repeat(t, len(x) // len(t)), error(x))
-        return np.maximum(np.concatenate([short, task.measure(x) - limits], axis=1), 0.0)
+        both = np.concatenate([short, task.measure(x) - limits], axis=1)
+        return np.maximum(both + 2 * SLIGHT, 0.0)  # limits are not reached, but passed
+
+    def of_all(x: Array) -> Array:
+        return lacking(x.reshape(-1, x.shape[-1])).reshape(*x.shape[:2], -1)
 
     with np.errstate(all="ignore"):
-        known = _slopes(lacking, starts.reshape(-1, starts.shape[-1]), free).reshape(len(t), -1).any(axis=1)
-        starts = np.concatenate([starts, nearest(error, starts, free)], axis=1)
-        x = nearest(lacking, starts, free)
-        least = _largest(lacking(x.reshape(-1, x.shape[-1]))).reshape(len(t), -1)
-    x = x[range(len(t)), least.argmin(axis=1)]
-    if not (missed := np.flatnonzero(known & (least.min(axis=1) > SLIGHT))).size:
+        x = nearest(lacking, np.concatenate([starts, nearest(error, starts, free)], axis=1), free)
+        before, lack = (
+            _finite(of_all(starts)).max(axis=1),
+            of_all(x),
+        )  # (cases, conditions); (cases, s, conditions)
+    best = range(cases), _largest(lack).argmin(axis=1)
+    x, lack = x[best], lack[best]
+    short = lack > SLIGHT
+    missed = np.flatnonzero(short.any(axis=1) & (~short | (lack < NEARER * before)).all(axis=1))
+    if not missed.size:
         return
     first = missed[:1]
     how = success.missed_by(seen(x[first]), t[first], task.error(x[first], t[first]))
-    which = f" for {missed.size} of {DRAWS} drawn targets" if task.targets else ""
+    which = f" for {missed.size} of {cases} drawn targets" if task.targets else ""
     words = f"success seems out of reach{which}: in the nearest state found, {how} at t = {t[first][0]:.3g} s"
     warnings.warn(words, StudyWarning, stacklevel=5)
 
@@ -100,8 +115,8 @@ def _finite(values: Array) -> Array:
 
 
 def _largest(r: Array) -> Array:
-    """The largest magnitude (k,) of residuals (k, c); inf if one is no number."""
-    return np.nan_to_num(np.abs(r), nan=np.inf, posinf=np.inf).max(axis=1, initial=0.0)
+    """The largest magnitude (...) of residuals (..., c); inf if one is no number."""
+    return np.nan_to_num(np.abs(r), nan=np.inf, posinf=np.inf).max(axis=-1, initial=0.0)
 
 
 def _total(r: Array) -> Array:

@@ -248,7 +248,7 @@ class Declared(Task):
         t = np.linspace(0.0, self.horizon * self.time_step, len(x))
         errors = np.random.default_rng(0).standard_normal((len(x), len(self._goals)))
         self._success.check_numbers(self._seen(x), t, errors)
-        warn_out_of_reach(self, self._success, self._seen)
+        warn_out_of_reach(self, self._success, self._seen, slow=self._sensors is not None)
         for key, start in self._starts.means.items() if len(times) > self.horizon else ():
             if not self.succeeds(start[None]):
                 raise ValueError(
