@@ -117,9 +117,9 @@ def _identify(parsed: argparse.Namespace) -> int:
     request = _of_recordings(parsed)
     if parsed.recover:
         return SUCCEEDED if recovery(request) else FAILED
-    better = identify(request, parsed.attach)
-    if not parsed.attach or not better:
-        return SUCCEEDED if better else FAILED
+    usable = identify(request, parsed.attach)
+    if not parsed.attach or not usable:
+        return SUCCEEDED if usable else FAILED
     parsed.overrides, parsed.config_dir = request.again, str(request.configs)
     return _run(parsed)
 

@@ -36,6 +36,10 @@ def check_rates(source: str, pieces: Sequence[Rollout], task: Task, rates: Mappi
     for i, position in rates.items():
         changes = _changes(pieces, i, position, task)
         moved, told = _delayed(changes, 0, 0)
+        if not moved.any() and _is_clear(told / SLOWEST, noise[i]):
+            raise HardwareError(
+                f"{source}: {names[position]} never changes, but {names[i]} does: is it stuck?"
+            )
         if abs(_agreement(moved, told)) >= CORRELATED:
             ratio = float(told @ moved) / float(told @ told)
             if not 1 / TWICE < ratio < TWICE:
@@ -51,7 +55,8 @@ def check_rates(source: str, pieces: Sequence[Rollout], task: Task, rates: Mappi
             lags = range(task.frames(LATEST) + 1)
             if max(_agreement(*_delayed(changes, late, late)) for late in lags) < UNRELATED:
                 raise HardwareError(
-                    f"{source}: {names[position]} does not change as {names[i]} implies: is a column wrong?"
+                    f"{source}: {names[position]} does not change as {names[i]} implies: "
+                    "is a column or a unit wrong?"
                 )
 
 

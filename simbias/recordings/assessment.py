@@ -88,8 +88,8 @@ class Assessment:
 
     @property
     def better(self) -> bool:
-        """Whether the model predicts held-out data better than the nominal one."""
-        return self.ratio < 1.0
+        """Whether the model predicts held-out data better than the nominal one, to two digits."""
+        return round(self.ratio, 2) < 1.0
 
     @property
     def trusted(self) -> bool:
@@ -228,7 +228,7 @@ def assess(
         _with_earlier(found, posterior.known),
         own_findings(list(recordings), identified, by_window, shorter),
         predictions(study.task, study.nominal, models, [part.rollouts for part in judged], learned, own),
-        mistakes(study.task, [study.nominal, identified], recordings),
+        mistakes(study.task, [study.nominal, identified], {**recordings, **(held_out or {})}),
         {
             factor * posterior.window: other.mean_deviation / identified.mean_deviation
             for factor, other in zip(OTHER_WINDOWS, by_window, strict=True)

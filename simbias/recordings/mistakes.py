@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain, combinations
 from typing import NamedTuple
@@ -13,10 +13,14 @@ from simbias.core import Nominal, Task
 from simbias.core.quantities import TURNS
 from simbias.core.records import Array, Indices, Rollout
 from simbias.lab.rates import rates_of
-from simbias.recordings.horizons import horizons, over_changes
+from simbias.recordings.horizons import geometric_mean, horizons, over_changes
 
 MISTAKEN = 0.9  # ratio of errors below which a change is likely correct
+CLEARLY = 0.5  # the same, for a change in some recordings alone
+TENFOLD, AT_MOST = 0.1, 2.0  # see `_of_units`
+AS_GOOD = 1.1  # ratio of errors up to which two explanations are as good
 DEGREES = "deg"
+PARTS = {"m": {"mm": 1e-3, "cm": 1e-2}}  # units that a column may be in, by the task's
 
 
 class Mistake(NamedTuple):
@@ -24,7 +28,7 @@ class Mistake(NamedTuple):
 
     words: str
     times: float  # errors of the nominal model, relative to those before
-    recordings: Sequence[str]  # in which the change reduces errors; empty: all
+    recordings: Sequence[str] = ()  # in which the change reduces errors; empty: all
 
 
 class Change(NamedTuple):
@@ -33,7 +37,12 @@ class Change(NamedTuple):
     words: str
     order: Indices  # (n + m,)
     factors: Array  # (n + m,)
-    of_unit: bool = False
+    unit: float = 0.0  # factor of a change of units of states; 0: none
+
+    def instead(self, task: Task) -> Change:
+        """The change of inputs that would explain it as well, if the dynamics were linear."""
+        factors = np.where(np.arange(len(self.factors)) < len(task.states), 1.0, 1 / self.unit)
+        return Change("", self.order, factors)
 
     def of(self, rollouts: Sequence[Rollout]) -> list[Rollout]:
         """The rollouts with this change applied."""
@@ -51,45 +60,76 @@ class Change(NamedTuple):
 def mistakes(
     task: Task, models: Sequence[Nominal], recordings: Mapping[str, Sequence[Rollout]]
 ) -> list[Mistake]:
-    """Mistakes on which all models agree, most important first; the first model is the nominal one.
+    """Mistakes, most important first; the first model is the nominal one.
 
-    If the nominal model lacks a spring, a wrong sign of an input below resonance reduces its errors, but not
-    the identified model's. A detected change is kept, since a sign is wrong relative to the others. A unit is
-    wrong if the nominal model with the right one predicts better than all models without: those identified
-    from the wrong one may be anywhere.
+    On a change of signs or order all models have to agree: if the nominal model lacks a spring, a wrong sign
+    of an input below resonance reduces its errors, but not the identified model's. A detected change is kept,
+    since a sign is wrong relative to the others.
     """
+    judged = {n: each for n, each in recordings.items() if horizons(task, max(r.frames for r in each))}
     left, found = changes(task), []
-    long = [n for n, each in recordings.items() if horizons(task, max(piece.frames for piece in each))]
 
     def errors(rollouts: Sequence[Rollout]) -> Array:
         return np.array([over_changes(task, model, rollouts) for model in models])
 
-    def of_each() -> dict[str, float]:
-        return {name: over_changes(task, models[0], recordings[name]) for name in long}
-
     rollouts = [each for pieces in recordings.values() for each in pieces]
-    last, last_of_each = errors(rollouts), of_each()
+    last = errors(rollouts)
     while left:
         tried = [errors(each.of(rollouts)) for each in left]
         ratios = [
-            errs[0] / last.min() if each.of_unit else (errs / last).max()
+            _of_units(errs, last) if each.unit else float((errs / last).max())
             for each, errs in zip(left, tried, strict=True)
         ]
         best = int(np.argmin(np.round(ratios, 3)))  # if mirrored, the input's sign
         if ratios[best] >= MISTAKEN:
             break
-        change = left.pop(best)
-        recordings = {name: change.of(pieces) for name, pieces in recordings.items()}
-        now = of_each()
-        right = [name for name in now if now[name] >= MISTAKEN * last_of_each[name]]
+        change, errs = left.pop(best), tried[best]
+        words = change.words
+        if change.unit and errors(change.instead(task).of(rollouts))[0] < AS_GOOD * errs[0]:
+            words += f" or all inputs {1 / change.unit:.3g} times as large"
+        now = {name: over_changes(task, models[0], change.of(recordings[name])) for name in judged}
+        right = [n for n in now if now[n] >= MISTAKEN * over_changes(task, models[0], recordings[n])]
         wrong = [name for name in now if name not in right] if right else []
-        found.append(Mistake(change.words, float(tried[best][0] / last[0]), wrong))
-        rollouts, last, last_of_each = change.of(rollouts), tried[best], now
-    return found
+        found.append(Mistake(words, float(errs[0] / last[0]), wrong))
+        recordings = {n: each if n in right else change.of(each) for n, each in recordings.items()}
+        rollouts = [each for pieces in recordings.values() for each in pieces]
+        last = errors(rollouts)
+    return [*found, *_in_some({name: recordings[name] for name in judged}, left, errors)]
+
+
+def _in_some(
+    recordings: Mapping[str, Sequence[Rollout]],
+    left: Sequence[Change],
+    errors: Callable[[Sequence[Rollout]], Array],
+) -> Iterator[Mistake]:
+    """Mistakes in some recordings alone; those in all would have been found together.
+
+    Either all models err far less with the change, or the nominal one with it than all without, as those may
+    be identified from the mistake.
+    """
+    found: dict[str, dict[str, float]] = {}
+    for name, pieces in recordings.items() if left and len(recordings) > 1 else ():
+        before, after = errors(pieces), [errors(each.of(pieces)) for each in left]
+        ratios = [min(errs[0] / before.min(), (errs / before).max()) for errs in after]
+        if min(ratios) < CLEARLY:
+            best = int(np.argmin(ratios))
+            found.setdefault(left[best].words, {})[name] = after[best][0] / before[0]
+    for words, of in found.items():
+        if len(of) < len(recordings):
+            yield Mistake(words, geometric_mean(np.array([*of.values()])), list(of))
+
+
+def _of_units(errors: Array, last: Array) -> float:
+    """The ratio of errors by which a change of units is judged: nominal ones, over all models' without it.
+
+    A model identified from the wrong unit may predict almost no motion. So it counts as erring more, up to
+    twice, if the change reduces the nominal model's errors more than tenfold.
+    """
+    return float(errors[0] / np.clip(TENFOLD * last[0], last.min(), AT_MOST * last.min()))
 
 
 def changes(task: Task) -> list[Change]:
-    """Candidates: signs of each input, of each joint with its velocity, of all inputs; swaps; degrees.
+    """Candidates: signs of each input, of each joint with its velocity, of all inputs; swaps; joints' units.
 
     If all signs are reversed, swapping two inputs may reduce errors more than correcting one sign.
     """
@@ -116,10 +156,18 @@ def changes(task: Task) -> list[Change]:
         pairs = zip(some, others, strict=True)
         words = ", ".join(f"{names[one]} and {names[other]}" for one, other in pairs)
         made.append(Change(f"{words} swapped", order, scaled([], 1.0)))
-    angles = [each for each in joints if task.states[each[0]].unit in TURNS]
-    for places in (*angles, *all_of(angles)):
-        unit = task.states[places[0]].unit
-        other = "rad" if unit == DEGREES else DEGREES
-        factors = scaled(places, TURNS[unit] / TURNS[other])
-        made.append(Change(f"{told(places)} taken as {other}", as_recorded, factors, of_unit=True))
+    for unit in dict.fromkeys(task.states[place].unit for place, _ in joints):
+        own = [each for each in joints if task.states[each[0]].unit == unit]
+        for other, factor in _other_units(unit).items():
+            for places in (*own, *all_of(own)):
+                words = f"{told(places)} taken as {other}"
+                made.append(Change(words, as_recorded, scaled(places, factor), factor))
     return made
+
+
+def _other_units(unit: str) -> dict[str, float]:
+    """Units that a column may be in instead of its own, and how many of its own each is."""
+    if unit not in TURNS:
+        return PARTS.get(unit, {})
+    other = "rad" if unit == DEGREES else DEGREES
+    return {other: TURNS[unit] / TURNS[other]}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -20,11 +21,14 @@ from simbias.recordings.copies import Digest, copied, digests, new
 from simbias.recordings.parts import Part
 from simbias.trial.study import Study
 
+UNIT = re.compile(
+    r"(:\s*)([^\s,'\"{}\[\]][^,'\"{}\[\]]*\[[^,\]]*\])"
+)  # `: q1 [deg]`, which YAML has in quotes
 ENDS = (*CSV, *BAGS)
 KINDS = f"{', '.join(ENDS)}, or a ROS 2 bag"
 HELD_OUT = "held out, so not fitted"
 LEARNED = "learned by the earlier posterior, so not counted again"
-SAME = "the same as in another file, so not counted again"
+SAME = "the same as earlier data, so not counted again"
 UNKNOWN = "the earlier posterior does not say which recordings it has learned, nor which doubts it has"
 
 
@@ -103,7 +107,11 @@ def read(
             raise ConfigError("", words(error)) from error
         whole = left = _numbered(recording)
         for note, known in {**(already or {}), SAME: seen}.items():
-            before, left = left, [part for each in left for part in _new(*each, known, time_step)]
+            before, left = left, []
+            for each in before:
+                left += (parts := [*_new(*each, known, time_step)])
+                if known is seen:  # so that copies within a file count once, too
+                    seen += digests([piece for piece, _ in parts], time_step)
             if seconds := time_step * (_frames(before) - _frames(left)):
                 notes[f"{seconds:.3g} s are {note}" if left else note].append(name)
         if not left:
@@ -111,7 +119,6 @@ def read(
         doubts |= dict.fromkeys(recording.doubts)
         for note in recording.notes:
             notes[note].append(name)
-        seen += digests([piece for piece, _ in left], time_step)
         pieces = [each for each in left if not needed or needed.windows([each[0]])]
         if needed and not pieces and _frames(left) == _frames(whole):
             raise ConfigError(str(file), f"is shorter than a window of {needed.window:g} s")
@@ -195,7 +202,9 @@ def columns(text: str) -> dict[str, str]:
 
     try:
         is_file = text.endswith((".yaml", ".yml"))
-        found = yaml.safe_load(Path(text).read_text(encoding="utf-8") if is_file else text)
+        found = yaml.safe_load(
+            Path(text).read_text(encoding="utf-8") if is_file else UNIT.sub(r"\1'\2'", text)
+        )
     except (OSError, yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
         raise ConfigError("--columns", reason(error)) from error
     if not isinstance(found, dict) or not all(

@@ -97,9 +97,9 @@ class Request(NamedTuple):
 
 
 def identify(request: Request, attach: bool = False) -> bool:
-    """Identify a model, print and write the results; return whether it is better than the nominal one.
+    """Identify a model, print and write the results; return whether it is better, and no column seems wrong.
 
-    If no parameter is trusted, or a sign seems wrong, it is not good enough for an attached trial.
+    If no parameter is trusted, it is not good enough for an attached trial.
 
     A ConfigError names a bad override, an unreadable recording, an unwritable file, or the hardware of an
     attached trial that has no recordings.
@@ -136,7 +136,7 @@ def identify(request: Request, attach: bool = False) -> bool:
         return False
     for name in learned_files(study, assessment.learned) if attach else ():
         say(console, f"The model has learned {name}, which counts again in the trial.", "yellow")
-    return assessment.better
+    return assessment.better and not assessment.mistakes
 
 
 def next_excitation(study: Study, assessment: Assessment) -> Excitation | str:

@@ -336,7 +336,9 @@ def test_a_velocity_that_is_late_by_part_of_a_frame_is_told(tmp_path: Path, late
 def test_another_column_in_place_of_a_velocity_is_refused(read: Read, table: pd.DataFrame) -> None:
     """Not one that is late, nor noise around rest."""
     swapped = table.assign(pos1=table["vel1"], vel1=table["pos1"])
-    with one_line(r"one\.csv: pos1 does not change as vel1 implies: is a column wrong\?", HardwareError):
+    with one_line(
+        r"one\.csv: pos1 does not change as vel1 implies: is a column or a unit wrong\?", HardwareError
+    ):
         read(swapped)
     late = read(table.assign(vel1=table["vel1"].shift(40, fill_value=0.0)))
     assert late.notes == ("vel1 lags pos1 by 80 ms; without its column, it is estimated",)
@@ -364,6 +366,13 @@ def test_what_cannot_be_meant_so_is_one_line(read: Read, table: pd.DataFrame) ->
             {},
             r"column pos1 jumps by 1e\+06 rad from row 101 to row 102, more than a turn",
         ),
+        (
+            without.assign(pos1=4.0 * (without.index % 2)),
+            {},
+            r"column pos1 jumps by more than half a turn in 100% of its samples: is it in degrees",
+        ),
+        (table.assign(pos1=0.5), {}, r"one\.csv: pos1 never changes, but vel1 does: is it stuck\?"),
+        (table.assign(time=1.7e9), {}, r"one\.csv: column time: all \d+ times are the same"),
         (rare.assign(tau1=rare["tau1"][:1]), {}, r"column tau1: expected two samples at least, got 1"),
         (without.assign(time=2.0 * table.index), {}, r"every 2 s: is the time in another unit\?"),  # ms
     ]

@@ -40,7 +40,7 @@ from simbias.recordings.horizons import CHANGE, HorizonErrors, inside, predictio
 from simbias.recordings.mistakes import Mistake, changes, mistakes
 from simbias.recordings.parts import parts
 from simbias.recordings.reach import beyond
-from simbias.recordings.reading import UNKNOWN, read, read_apart
+from simbias.recordings.reading import SAME, UNKNOWN, columns, read, read_apart
 from simbias.recordings.report import report
 from simbias.recordings.words import (
     about_errors,
@@ -178,6 +178,11 @@ def test_signs_and_columns_that_are_mistaken_are_named(
     assert [(each.words, each.recordings) for each in told] == [(joint.words, []), (torque.words, [])]
     some = {"right": first, "brief": brief, "a": torque.of(first), "b": torque.of(others[0])}
     assert [each.recordings for each in mistakes(task, both[:1], some)] == [["a", "b"]]
+    degrees = changes(task)[-1]
+    in_degrees = degrees._replace(factors=1 / degrees.factors)
+    for change, name in ((torque, torque.words), (in_degrees, degrees.words)):  # in a minority, too
+        minority = {"a": change.of(first), "b": others[0], "c": first}
+        assert [each[::2] for each in mistakes(task, both, minority)] == [(name, ["a"])]
     mistaken = replace(assessment, mistakes=[Mistake(words, times, ["b.csv"])])
     assert [assessment.sound, mistaken.sound] == [True, False]
     assert beginning(mistaken).startswith("Before a trial, correct the recordings")
@@ -185,7 +190,7 @@ def test_signs_and_columns_that_are_mistaken_are_named(
         f" With {words} (in b.csv alone), the nominal model's errors are {times:.2g} times as large: "
         "check the recording's signs, columns and units."
     )
-    signs = [each for each in changes(task) if not each.of_unit]
+    signs = [each for each in changes(task) if not each.unit]
     monkeypatch.setattr("simbias.recordings.mistakes.changes", lambda task: [*signs])
     monkeypatch.setattr(
         "simbias.recordings.mistakes.over_changes",
@@ -468,6 +473,17 @@ def test_doubts_about_recordings_stay_with_the_option(study: Study, assessment: 
     assert known.doubts == [["b", "a"], *([] for _ in rest)]
 
 
+def test_columns_may_have_units_in_braces() -> None:
+    text = "{pos1: q1 [deg], tau1: I [mN m], time: t, pos2: /js.position[elbow], vel1: 'v [1/s]'}"
+    assert columns(text) == {
+        "pos1": "q1 [deg]",
+        "tau1": "I [mN m]",
+        "time": "t",
+        "pos2": "/js.position[elbow]",
+        "vel1": "v [1/s]",
+    }
+
+
 def test_copies_do_not_count_again(study: Study, folder: Path) -> None:
     """Rounded, cut or with another clock; nor what an option has learned. Repeated motions are no copies."""
     study = replace(study, hardware=None)  # type: ignore[arg-type]
@@ -483,7 +499,13 @@ def test_copies_do_not_count_again(study: Study, folder: Path) -> None:
     apart = ["one.csv", "repeated.csv", "rest0.csv", "rest1.csv"]
     found = read(study, [*apart, "half.csv", "late.csv"])
     assert list(found.rollouts) == apart
-    assert found.notes == ("half.csv, late.csv: the same as in another file, so not counted again",)
+    assert found.notes == ("half.csv, late.csv: the same as earlier data, so not counted again",)
+    again = pd.concat([rows, rows.assign(time=rows["time"] + rows["time"].max() + 1.0)])
+    again.to_csv("twice.csv", index=False)
+    twice = read(study, ["twice.csv"])
+    assert [note for note in twice.notes if "counted" in note] == [
+        f"twice.csv: {twice.rollouts['twice.csv'][0].frames * study.task.time_step:.3g} s are {SAME}"
+    ]
     (rest,) = read_apart(study, ["one.csv"], ["half.csv"])[0].pieces.rollouts
     assert rest.frames == one.frames - 800
     np.testing.assert_allclose(rest.with_history()[1][-rest.frames - 1], one.inputs[798])
@@ -796,7 +818,7 @@ def test_nothing_is_fitted_to_what_is_held_out(folder: Path, capsys: pytest.Capt
     (folder / "copy.csv").write_bytes((folder / "lab" / "one.csv").read_bytes())
     found = read(simbias.load(options), ["lab", "copy.csv"])
     assert list(found.rollouts) == ["one.csv", "two.csv"]
-    assert "copy.csv: the same as in another file, so not counted again" in found.notes
+    assert "copy.csv: the same as earlier data, so not counted again" in found.notes
     found, _ = read_apart(simbias.load(options), ["lab"], ["copy.csv"])
     assert list(found.rollouts) == ["two.csv"]
     assert "one.csv: held out, so not fitted" in found.notes
