@@ -55,6 +55,20 @@ def test_smoothed_states_are_nearer_to_the_motion_than_recorded_ones() -> None:
     np.testing.assert_array_equal(smoothed([recorded(noisy)], 0)[0], noisy)
 
 
+@pytest.mark.parametrize(("frames", "kept"), [(589, True), (595, False)])
+def test_what_smoothing_bends_where_predictions_begin_stays_as_recorded(frames: int, kept: bool) -> None:
+    """A velocity under inputs that jump there, but not under inputs that jump in between."""
+    rng, noise = np.random.default_rng(0), 0.1
+    velocity = np.cumsum(np.repeat(rng.choice([-0.4, 0.4], 60), 10))[: frames + 1]
+    rollout = recorded(velocity + noise * rng.standard_normal(600)[: frames + 1])
+    (smooth,), (guarded,) = smoothed([rollout], 5), smoothed([rollout], 5, 10)
+    begin = np.arange(frames % 10, frames, 10)  # windows of 10 frames are counted from the end
+    errors = [np.std(each[begin, 0] - velocity[begin]) for each in (smooth, guarded, rollout.states)]
+    assert (guarded == rollout.states).all() == kept
+    assert (errors[0] > errors[2]) == kept
+    assert errors[1] <= min(errors[0], errors[2])
+
+
 def test_motion_without_noise_stays() -> None:
     """To less than a millionth; and so does a state that rests, and what is too short to be smoothed."""
     t = 0.01 * np.arange(500.0)

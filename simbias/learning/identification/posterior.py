@@ -166,7 +166,8 @@ class Posterior(Identification):
         """Experiments, cut into windows for comparison with predictions."""
         windows = self.cut(rollouts)
         if frames := round(self._smoothing / self._task.time_step):
-            made = zip(rollouts, smoothed(rollouts, frames), strict=True)
+            window = self._window if self._differences == "central" else 0
+            made = zip(rollouts, smoothed(rollouts, frames, window), strict=True)
             smooth = [replace(rollout, states=states) for rollout, states in made]
             windows = replace(windows, smoothed=self.cut(smooth).states)
         if not recordings:
