@@ -65,7 +65,7 @@ def frames_in(span: Span, time_step: float) -> int:
     return max(1, round(float(number) * unit / time_step))
 
 
-FigureWidth = Annotated[float, Field(ge=2.5, le=20)]  # in
+FigureWidth = Annotated[float, Field(ge=3.2, le=20)]  # in
 
 # Numbers without a unit, or with any.
 Share = Annotated[float, Field(gt=0, le=1)]

@@ -82,11 +82,15 @@ def read_axis(name: str, spec: Any) -> Axis:
         "labels": NotRequired[list[str | float]],
         "only": ONLY,
     }
-    if spec and not spec.keys() & fields.keys():
+    if spec and not spec.keys() & (fields.keys() - {"only"}):
         key, value = name, spec
         while isinstance(value, Mapping) and value:
             inner, value = next(iter(value.items()))
             key += f".{inner}"
+        if key.endswith(".only"):
+            raise ConfigError(
+                f"sweep.axes.{key.removesuffix('.only')}", "no such axis, whose points `only` could keep"
+            )
         dotted = f"; for a key with dots: '+sweep.axes={{{key}: [...]}}'"
         otherwise = dotted if isinstance(value, list) else ", or have keys and values, or points"
         raise ConfigError(where, f"must be a list of values{otherwise}")
@@ -113,6 +117,8 @@ def _kept(axis: Axis, only: Sequence[str | float] | None) -> Axis:
     if only is None:
         return axis
     where, wanted = f"sweep.axes.{axis.name}.only", [label(each) for each in only]
+    if not wanted:
+        raise ConfigError(where, f"keeps no point; there are {', '.join(axis.labels)}")
     for each in wanted:
         if each not in axis.labels:
             raise ConfigError(where, f"no such point: {each}; there are {', '.join(axis.labels)}")

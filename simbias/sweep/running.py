@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, suppress
 from dataclasses import asdict
@@ -85,6 +86,7 @@ def prepare(store: Tracking, variations: Variations, trials_engine: Engine) -> t
             raise ConfigError("", f"{error}{where}") from error
         tested |= study.policy_test.episodes > 0
         studies.setdefault(tuple(sorted(cell.composition.choices.values())), study)
+    _check_folder(sweep.figures_to)
     for name, figure in sweep.figures.items():
         if store.folder is None and figure.reads_trials:
             raise ConfigError("tracking", f"none keeps no trials, but sweep.figures.{name} needs them")
@@ -97,6 +99,16 @@ def prepare(store: Tracking, variations: Variations, trials_engine: Engine) -> t
                 raise ConfigError("engine", NOT_CONCURRENT.format(type(study.hardware).__name__))
             rehearse(study)  # compiled here once; workers find it in the cache
     return sweep, ended
+
+
+def _check_folder(place: str | None) -> None:
+    """Refuse a place for copies of figures in which no folder can be written."""
+    path = Path(place or ".").resolve()
+    there = next(each for each in (path, *path.parents) if each.exists())
+    if not there.is_dir():
+        raise ConfigError("sweep.figures_to", f"{there} is not a folder")
+    if not os.access(there, os.W_OK):
+        raise ConfigError("sweep.figures_to", f"{there} cannot be written")
 
 
 def run_sweep(

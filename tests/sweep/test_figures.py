@@ -216,7 +216,7 @@ def test_figures_fit_a_column_of_a_paper() -> None:
         assert all(left.x1 < right.x0 for left, right in itertools.pairwise(boxes))
         assert all(box.x0 >= 0 and box.x1 <= made.bbox.width for box in boxes)
         assert {text.get_fontsize() for axes in made.axes for text in axes.get_xticklabels()} == {8.0}
-    for width, words in (("1", "greater than or equal to 2.5"), ("wide", "number")):
+    for width, words in (("1", "greater than or equal to 3.2"), ("wide", "number")):
         with one_line(f"^sweep.figures_width: .*{words}"):
             expand(["+sweep=gaps", f"+sweep.figures_width={width}"])
 

@@ -156,6 +156,10 @@ def test_bad_sweep() -> None:
         "adds an axis; an axis has keys, values, labels, points and only": [
             "+sweep={trials: 1, axes: {x: {keys: bias.d, values: [1.0]}}}", "sweep.axes.x.valus=[0.1]"
         ],
+        "sweep.axes.y: no such axis, whose points `only` could keep": [
+            "+sweep={trials: 1, axes: {x: {keys: bias.d, values: [1.0]}}}", "+sweep.axes.y.only=[1.0]"
+        ],
+        "sweep.axes.task.horizon: no such axis, whose": ["+sweep=smoke", "+sweep.axes.task.horizon.only=[1]"],
         "sweep.axes.x.keys: hardware.nosuch: no such key": [
             "+sweep={trials: 1, axes: {x: {points: {a: {hardware.nosuch: {b: 1}}}}}}"
         ],
@@ -204,7 +208,10 @@ def test_only_keeps_points_by_their_labels() -> None:
     assert one == replace(read_axis("x", noise | {"values": [[1.0, 2.0]]}), left_out=("0/0.5",))
     single = {"keys": "u", "values": [0.25, 0.5]}
     assert read_axis("x", single | {"only": [0.5]}).labels == ("0.5",)
-    for only, message in ((["d"], "x.only: no such point: d; there are a, b, c"), ([], "x: has no values")):
+    for only, message in (
+        (["d"], "x.only: no such point: d; there are a, b, c"),
+        ([], "x.only: keeps no point"),
+    ):
         with one_line(re.escape(f"sweep.axes.{message}")):
             read_axis("x", points | {"only": only})
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from errors import one_line
 from PIL import Image
 from sweeping import FOLDERS, finish, run, start, until_trials
 
@@ -165,3 +166,7 @@ def test_figure_without_a_store(folder: Path) -> None:
     assert {file.name for file in (folder / "here").iterdir()} == {
         f"experiments.{suffix}" for suffix in ("png", "svg", "pdf", "csv", "md")
     }
+    file = folder / "here" / "experiments.csv"
+    for place in (file, file / "below"):
+        with one_line(f"^sweep.figures_to: {file} is not a folder"):
+            simbias.run_sweep(["+sweep=smoke", *quick, "tracking=none", f"+sweep.figures_to={place}"])

@@ -95,7 +95,7 @@ def _figure(table: pd.DataFrame, sweep: Sweep, width: float) -> Figure:
     axes.set_ylabel(", ".join(along.heads), fontsize=size)
     axes.set_xlim(left=0)
     axes.locator_params(axis="x", integer=True)
-    axes.set_xlabel("hardware experiments until success", fontsize=size)
+    axes.set_xlabel(fill("hardware experiments until success", fitting(CHARACTERS, width)), fontsize=size)
     plain(axes, "x")
     if len(curves) > 1 or bool(table["paper"].notna().any()):
         legend(figure, _ours_first(axes), literal(", ".join("/".join(axis.heads) for axis in others)))
