@@ -420,6 +420,7 @@ def test_a_reference_that_cannot_be_meant_is_refused(tmp_path: Path) -> None:
             "t,position\n0,0\n1,0.1\n1.01,0.7\n5,0.8\n",
             "goal.position jumps after t = 0.96 s: by 0.605 m in 2 frames",
         ),
+        ("t,position\n0,0\n1,0\n1.04,0.3\n1.08,0\n5,0\n", "position jumps after t = 1 s: by 0.3 m in 2"),
         ("t,position\n0,0\n1,0\n1.001,0.3\n2,0.3\n2.001,0.6\n5,0.6\n", "position jumps after t = 0.96 s"),
         ("t,position\n0,0\n\n5,\n", "row 4, column position: expected a finite number, got ''"),
         ("t,position\n0,0\n5,0,1\n", "row 3: expected 2 cells as in row 1, got 3"),
