@@ -36,7 +36,8 @@ def check_rates(source: str, pieces: Sequence[Rollout], task: Task, rates: Mappi
     for i, position in rates.items():
         changes = _changes(pieces, i, position, task)
         moved, told = _delayed(changes, 0, 0)
-        if not moved.any() and _is_clear(told / SLOWEST, noise[i]):
+        lasting = len(moved) >= LASTING / task.time_step
+        if lasting and not moved.any() and _is_clear(told / SLOWEST, noise[i]):
             raise HardwareError(
                 f"{source}: {names[position]} never changes, but {names[i]} does: is it stuck?"
             )
@@ -47,11 +48,7 @@ def check_rates(source: str, pieces: Sequence[Rollout], task: Task, rates: Mappi
                     f"{source}: {names[position]} changes {ratio:.3g} times as fast as {names[i]} implies: "
                     "is a unit or a column wrong?"
                 )
-        elif (
-            len(moved) >= LASTING / task.time_step
-            and _is_clear(moved, noise[position])
-            and _is_clear(told / SLOWEST, noise[i])
-        ):
+        elif lasting and _is_clear(moved, noise[position]) and _is_clear(told / SLOWEST, noise[i]):
             lags = range(task.frames(LATEST) + 1)
             if max(_agreement(*_delayed(changes, late, late)) for late in lags) < UNRELATED:
                 raise HardwareError(

@@ -89,7 +89,7 @@ class DoublePendulum(Nominal):
     Raises
     ------
     ValueError
-        If the task does not have four states, or not as many inputs as driven joints.
+        If the task does not have four states in rad and rad/s, or not as many inputs as driven joints.
     """
 
     kernel: Kernel
@@ -112,6 +112,9 @@ class DoublePendulum(Nominal):
                 f"driven={driven}: expected a task with {wanted[0]} states and {wanted[1]} inputs; "
                 f"it has {len(task.states)} and {len(task.inputs)}"
             )
+        units = ["rad", "rad", "rad/s", "rad/s"]
+        if (given := [state.unit for state in task.states]) != units:
+            raise ValueError(f"expected states in {', '.join(units)}; the task's are in {', '.join(given)}")
         self._sub_steps = math.ceil(task.time_step / sub_step - 1e-9)
         self._time_step = task.time_step
         self._gravity = gravity if zero == "hanging" else -gravity  # turning the angle by pi inverts gravity

@@ -1,5 +1,6 @@
 """Targets: drawn with each start, known to policy and cost; not a robot's, not learned, not noisy."""
 
+import warnings
 from dataclasses import replace
 from typing import Any
 
@@ -10,7 +11,7 @@ from interpreted import interpreted
 from mechanisms import declared as cart_pole
 
 import simbias
-from simbias.core import Hardware, Policy, Task
+from simbias.core import Hardware, Policy, StudyWarning, Task
 from simbias.core.records import Array, Rollout, Transitions
 from simbias.cost.tracking import Tracking
 from simbias.lab.checked_hardware import CheckedHardware
@@ -170,7 +171,7 @@ def test_who_is_asked_is_told_a_robots_start_and_a_policy_that_knows_them(still:
     assert f"  place = {law.numbers['targets'][0]:g} m\n" in files(request)["README.txt"]
     assert request.content()["policy"]["class"] == type(still.policy).__name__
     rollout = Still(still.task.without_targets).run(
-        request.policy, request.theta, request.start, np.random.default_rng(0)
+        request.policy, request.theta, request.start * [1, 1, 0, 0], np.random.default_rng(0)
     )
     asking.tell(rollout)
     asking.ask()
@@ -207,3 +208,18 @@ def test_a_reachers_joints_are_asked_to_where_its_target_is() -> None:
         np.testing.assert_allclose(task.error(there, 0.0), 0.0, atol=1e-12)
         points = task.points(there)
         np.testing.assert_allclose(points["target"], points["load"], atol=1e-12)
+
+
+def test_goals_beyond_the_rail_are_told_or_refused() -> None:
+    """Half of the places, or all of them."""
+    words = r"goal.position is .* where the task fails: leaves for %s of 100 drawn targets"
+
+    def places(*ends: float) -> Declared:
+        return declared(targets=TARGETS | {"place": {"unit": "m", "uniform": ends}})
+
+    with pytest.warns(StudyWarning, match=words % r"[3-7]\d"):
+        places(0.1, 1.8)
+    with one_line(words % "100"):
+        places(2.0, 3.0)
+    with warnings.catch_warnings(action="error"):
+        places(0.1, 0.9)

@@ -218,7 +218,10 @@ class Declared(Task):
         self._aimed, self._goals = [index for index, _ in aimed], tuple(quantity for _, quantity in aimed)
         if self.criteria:
             variables = self._known["variables"]
-            check_within(self._reference, variables, self.criteria, self._measure, seconds)
+            drawn = drawn_starts(self, np.random.default_rng(0)) if self.targets else np.empty((0, 0))
+            check_within(
+                self._reference, variables, self.criteria, self._measure, seconds, self.targets_in(drawn)
+            )
         warn_of_degrees(self._reference, self._goals, seconds)
         check_jumps(self._reference, self._goals, self.time_step)
         if file is not None:
