@@ -90,7 +90,9 @@ class TrialFolder:
         ConfigError
             If there is none, or it cannot be read.
         """
-        return read_json(self.path / TRIAL)
+        if not (file := self.path / TRIAL).exists():
+            raise ConfigError(str(self.path), f"is not the folder of a trial (it has no {TRIAL})")
+        return read_json(file)
 
     def check_identity(self, identity: str) -> None:
         """Raise a ConfigError if this is another trial's folder, or if `description` raises one."""

@@ -118,7 +118,7 @@ def test_the_command_line_continues_a_single_trial_that_is_kept(
         ([*own, "tracking=none", "--continue", "trials/earlier"], "--continue: nothing would be kept"),
         (
             [*own, "tracking=folders", "--continue", "trials/earlier"],
-            "trials/earlier/trial.json: cannot be read",
+            "trials/earlier: is not the folder of a trial",
         ),
     ):
         assert main(command) == 2

@@ -300,7 +300,7 @@ def test_what_cannot_be_read_is_one_line_that_names_the_file(
     with one_line(r"trial\.json: is missing\. Put it back"):
         run_trial(short, folder)
     assert not list(folder.glob("error_*"))
-    with pytest.raises(ConfigError, match=r"trial\.json: cannot be read"):
+    with pytest.raises(ConfigError, match=r"is not the folder of a trial \(it has no trial\.json\)"):
         read_folder(tmp_path)
 
 

@@ -89,7 +89,7 @@ def costs(study: Study, iterations: Sequence[Iteration]) -> Figure:
     whole_numbers(by_iteration.xaxis)
     by_iteration.set(xlabel="iteration", ylabel="cost Z (dimensionless)")
     shade_beyond(by_iteration, limit, r"limit $Z_{\max}$")
-    _divide(pairs, limit)
+    _divide(pairs, limit, values[1:])
     headline(by_iteration, "Predicted and measured cost of each policy")
     headline(pairs, "Each experiment: darker ones are later")
     for axes in (by_iteration, pairs):
@@ -100,10 +100,11 @@ def costs(study: Study, iterations: Sequence[Iteration]) -> Figure:
     return figure
 
 
-def _divide(axes: Axes, limit: float) -> None:
-    """Draw the diagonal, and separate success from failure if there is a limit."""
-    if np.isfinite(limit):
-        axes.update_datalim([(limit / 2, limit / 2), (2 * limit, 2 * limit)])
+def _divide(axes: Axes, limit: float, costs: Sequence[float]) -> None:
+    """Draw the diagonal, and separate success from failure if there is a limit; else show all costs."""
+    finite = [cost for cost in costs if np.isfinite(cost)] or [1.0]
+    ends = (limit / 2, 2 * limit) if np.isfinite(limit) else (min(finite), max(finite))
+    axes.update_datalim([(end, end) for end in ends])
     axes.autoscale_view()
     (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
     both = [max(left, bottom), min(right, top)]
