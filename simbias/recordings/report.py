@@ -23,6 +23,7 @@ def report(assessment: Assessment, excitation: Excitation | str, notes: Sequence
 def _parts(assessment: Assessment, excitation: Excitation | str, notes: Sequence[str]) -> Iterator[str]:
     """The parts of the page, from the verdict to the predictions."""
     yield paragraph(words.verdict(assessment))
+    yield paragraph(words.sources(assessment))
     yield heading("Which parameter may be trusted?")
     yield table(words.PARAMETER_NAMES, words.parameter_rows(assessment))
     yield paragraph(words.TRUST)

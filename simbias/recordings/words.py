@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from operator import itemgetter
 
 import numpy as np
@@ -11,6 +12,7 @@ from simbias.recordings.assessment import Assessment
 from simbias.recordings.excitation import Excitation
 from simbias.recordings.findings import BEYOND_PRIOR, STEP_DOUBT
 from simbias.recordings.horizons import by_state
+from simbias.recordings.parts import Part
 
 PARAMETER_NAMES = (
     "parameter",
@@ -56,6 +58,21 @@ def verdict(assessment: Assessment) -> str:
         f"The identified model is no better than the nominal one on {what}: its errors are "
         f"{assessment.ratio:.2f} times as large{each}, {MEAN}. Do not use it.{wrong}"
     )
+
+
+def sources(assessment: Assessment) -> str:
+    """The recordings that were fitted and held out, with their durations."""
+
+    def durations(parts: Iterable[Part]) -> str:
+        frames = Counter[str]()
+        for part in parts:
+            for name, rollout in zip(part.recordings, part.rollouts, strict=True):
+                frames[name] += rollout.frames
+        step = assessment.task.time_step
+        return ", ".join(f"{name} ({step * count:.3g} s)" for name, count in frames.items())
+
+    held = f" Held out: {durations([assessment.held_out])}." if assessment.held_out else ""
+    return f"Identified from {durations(assessment.parts)}.{held}"
 
 
 def beginning(assessment: Assessment) -> str:

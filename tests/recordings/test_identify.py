@@ -662,6 +662,7 @@ def test_the_page_is_one_file_and_runs_nothing(assessment: Assessment) -> None:
     )
     assert f" They are larger after {first.seconds:g} s." in verdict(worse)
     text = report(assessment, "none", ["one: vel2 is estimated from pos2"])
+    assert "Identified from one (2 s), &lt;script&gt;two (2 s)." in text
     assert "one: vel2 is estimated from pos2" in text
     assert "<script" not in text
     assert "<title>double_pendulum, identified from recordings</title>" in text
