@@ -74,7 +74,8 @@ class Signals(ABC):
 
     def missing(self, names: list[str], known: list[str], where: str = "") -> HardwareError:
         """The error for names that a file lacks; it suggests the nearest known ones."""
-        near = [match for name in names for match in get_close_matches(name, known, 1)]
+        lower = {each.lower(): each for each in known}
+        near = [lower[match] for name in names for match in get_close_matches(name.lower(), lower, 1)]
         hint = f"; did you mean {', '.join(near)}?" if near else ""
         return HardwareError(f"{self.path}: {where}expected a column {', '.join(names)}, got none{hint}")
 

@@ -357,6 +357,11 @@ def test_what_cannot_be_meant_so_is_one_line(read: Read, table: pd.DataFrame) ->
             r"pos1 changes 57\.3 times .*: is a unit or",
         ),
         (table.assign(time=10 * table["time"]), {}, r"pos1 changes 0\.1 times as fast as vel1 implies"),
+        (
+            table.rename(columns={"pos1": "POS1"}),
+            {},
+            r"expected a column pos1, got none; did you mean POS1\?",
+        ),
         (table, {"pos1": "pos_1"}, r"row 1: expected a column pos_1, got none; did you mean pos1\?"),
         (table, {"pos1": "pos1 [kg]"}, r"pos1: cannot be in kg; expected one of rad, mrad, deg"),
         (table, {"time": "time [kg]"}, r"one\.csv: time: cannot be in kg; expected one of s"),
