@@ -37,7 +37,7 @@ def check_rates(source: str, pieces: Sequence[Rollout], task: Task, rates: Mappi
         changes = _changes(pieces, i, position, task)
         moved, told = _delayed(changes, 0, 0)
         lasting = len(moved) >= LASTING / task.time_step
-        if lasting and not moved.any() and _is_clear(told / SLOWEST, noise[i]):
+        if lasting and not moved.any() and _is_clear((told - told.mean()) / SLOWEST, noise[i]):
             raise HardwareError(
                 f"{source}: {names[position]} never changes, but {names[i]} does: is it stuck?"
             )

@@ -228,7 +228,7 @@ def assess(
         _with_earlier(found, posterior.known),
         own_findings(list(recordings), identified, by_window, shorter),
         predictions(study.task, study.nominal, models, [part.rollouts for part in judged], learned, own),
-        mistakes(study.task, [study.nominal, identified], {**recordings, **(held_out or {})}),
+        mistakes(study.task, [study.nominal, identified], _named_apart(recordings, held_out or {})),
         {
             factor * posterior.window: other.mean_deviation / identified.mean_deviation
             for factor, other in zip(OTHER_WINDOWS, by_window, strict=True)
@@ -237,6 +237,13 @@ def assess(
         _learned(posterior.known, recordings, study.task.time_step),
     )
     return assessment.doubted(doubt)
+
+
+def _named_apart(
+    recordings: Mapping[str, Sequence[Rollout]], held_out: Mapping[str, Sequence[Rollout]]
+) -> dict[str, Sequence[Rollout]]:
+    """All recordings; a held-out one that has another's name is told by it."""
+    return {**recordings, **{n + ", held out" * (n in recordings): each for n, each in held_out.items()}}
 
 
 def _with_earlier(found: list[Finding], known: Known | None) -> list[Finding]:

@@ -67,7 +67,7 @@ def mistakes(
     since a sign is wrong relative to the others.
     """
     judged = {n: each for n, each in recordings.items() if horizons(task, max(r.frames for r in each))}
-    left, found = changes(task), []
+    left, found = changes(task) if judged else [], list[Mistake]()
 
     def errors(rollouts: Sequence[Rollout]) -> Array:
         return np.array([over_changes(task, model, rollouts) for model in models])
@@ -81,7 +81,7 @@ def mistakes(
             for each, errs in zip(left, tried, strict=True)
         ]
         best = int(np.argmin(np.round(ratios, 3)))  # if mirrored, the input's sign
-        if ratios[best] >= MISTAKEN:
+        if not ratios[best] < MISTAKEN:  # also if errors are no numbers
             break
         change, errs = left.pop(best), tried[best]
         words = change.words
@@ -104,13 +104,13 @@ def _in_some(
 ) -> Iterator[Mistake]:
     """Mistakes in some recordings alone; those in all would have been found together.
 
-    Either all models err far less with the change, or the nominal one with it than all without, as those may
-    be identified from the mistake.
+    All models err far less with the change, or one of them than all without, as those may be identified from
+    the mistake. Of several mistakes in one recording, the clearest is found.
     """
     found: dict[str, dict[str, float]] = {}
     for name, pieces in recordings.items() if left and len(recordings) > 1 else ():
         before, after = errors(pieces), [errors(each.of(pieces)) for each in left]
-        ratios = [min(errs[0] / before.min(), (errs / before).max()) for errs in after]
+        ratios = [min(errs.min() / before.min(), (errs / before).max()) for errs in after]
         if min(ratios) < CLEARLY:
             best = int(np.argmin(ratios))
             found.setdefault(left[best].words, {})[name] = after[best][0] / before[0]

@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from simbias.core import HardwareError, Task
 from simbias.core.errors import ConfigError, reason
@@ -21,9 +21,7 @@ from simbias.recordings.copies import Digest, copied, digests, new
 from simbias.recordings.parts import Part
 from simbias.trial.study import Study
 
-UNIT = re.compile(
-    r"(:\s*)([^\s,'\"{}\[\]][^,'\"{}\[\]]*\[[^,\]]*\])"
-)  # `: q1 [deg]`, which YAML has in quotes
+BRACKETS = re.compile(r"(:\s*)([^\s,'\"{}][^,'\"{}]*\][^,'\"{}]*?)(?=\s*[,}])")  # `: q1 [deg],`
 ENDS = (*CSV, *BAGS)
 KINDS = f"{', '.join(ENDS)}, or a ROS 2 bag"
 HELD_OUT = "held out, so not fitted"
@@ -201,10 +199,7 @@ def columns(text: str) -> dict[str, str]:
     import yaml
 
     try:
-        is_file = text.endswith((".yaml", ".yml"))
-        found = yaml.safe_load(
-            Path(text).read_text(encoding="utf-8") if is_file else UNIT.sub(r"\1'\2'", text)
-        )
+        found = _yaml(Path(text).read_text(encoding="utf-8") if text.endswith((".yaml", ".yml")) else text)
     except (OSError, yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
         raise ConfigError("--columns", reason(error)) from error
     if not isinstance(found, dict) or not all(
@@ -212,6 +207,16 @@ def columns(text: str) -> dict[str, str]:
     ):
         raise ConfigError("--columns", "must be a mapping of names, such as '{pos1: q1, vel1: dq1}'")
     return found
+
+
+def _yaml(text: str) -> Any:
+    """A YAML text, in braces also with names that have a unit, such as `{pos1: q1 [deg]}`."""
+    import yaml
+
+    try:
+        return yaml.safe_load(text)
+    except yaml.YAMLError:
+        return yaml.safe_load(BRACKETS.sub(r"\1'\2'", text))
 
 
 def _all_files(places: Sequence[Path | str]) -> Collection[Path]:

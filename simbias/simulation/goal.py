@@ -12,6 +12,7 @@ from simbias.core.records import Array
 from simbias.simulation.linearization import STEP, input_scale, linearization
 
 BALANCED, ROUNDS = 1e-9, 5  # negligible change of states per frame, in their units; steps of the search
+FAR = 1e9  # an error that is no number
 MET = 1e-6  # of a goal's error, and of the slopes by which it determines states: none
 SLIGHT = 0.01  # of the inputs' largest effect on a state in a frame: states that change less are held
 
@@ -62,7 +63,14 @@ def goal_at_rest(task: Task, near: Array) -> Array | None:
     if task.goals == task.states:
         return np.array(goal[-1])
     end = task.horizon * task.time_step
-    found = least_squares(lambda x: np.concatenate([task.error(x, end), x[still]]), near, xtol=1e-12)
+
+    def errors(x: Array) -> Array:
+        with np.errstate(all="ignore"):
+            return np.nan_to_num(
+                np.concatenate([task.error(x, end), x[still]]), nan=FAR, posinf=FAR, neginf=-FAR
+            )
+
+    found = least_squares(errors, near, xtol=1e-12)
     met = np.abs(found.fun).max() <= MET and np.linalg.matrix_rank(found.jac, MET) == len(near)
     return np.array(found.x) if met else None
 

@@ -10,7 +10,7 @@ from typing import Any, NotRequired, Required
 from simbias.config import ConfigError
 from simbias.config.components import validate
 
-ONLY = NotRequired[list[str | float] | None]
+ONLY = NotRequired[list[Any] | None]
 
 
 @dataclass(frozen=True)
@@ -112,11 +112,12 @@ def read_axis(name: str, spec: Any) -> Axis:
     return _kept(_checked(Axis(name, points, labels, tuple(map(tuple, texts)))), checked.get("only"))
 
 
-def _kept(axis: Axis, only: Sequence[str | float] | None) -> Axis:
+def _kept(axis: Axis, only: Sequence[Any] | None) -> Axis:
     """The axis with the points of these labels, in its own order."""
     if only is None:
         return axis
-    where, wanted = f"sweep.axes.{axis.name}.only", [label(each) for each in only]
+    where = f"sweep.axes.{axis.name}.only"
+    wanted = [str(each) if str(each) in axis.labels else label(each) for each in only]
     if not wanted:
         raise ConfigError(where, f"keeps no point; there are {', '.join(axis.labels)}")
     for each in wanted:

@@ -183,6 +183,7 @@ def test_signs_and_columns_that_are_mistaken_are_named(
     for change, name in ((torque, torque.words), (in_degrees, degrees.words)):  # in a minority, too
         minority = {"a": change.of(first), "b": others[0], "c": first}
         assert [each[::2] for each in mistakes(task, both, minority)] == [(name, ["a"])]
+    assert mistakes(task, both, {"a": [each.part(0, 9) for each in in_degrees.of(first)]}) == []  # too short
     mistaken = replace(assessment, mistakes=[Mistake(words, times, ["b.csv"])])
     assert [assessment.sound, mistaken.sound] == [True, False]
     assert beginning(mistaken).startswith("Before a trial, correct the recordings")
@@ -482,6 +483,9 @@ def test_columns_may_have_units_in_braces() -> None:
         "pos2": "/js.position[elbow]",
         "vel1": "v [1/s]",
     }
+    assert columns("{q: 'Motor 1: angle [deg]'}") == {"q": "Motor 1: angle [deg]"}
+    assert columns("q: position[0] [deg]") == {"q": "position[0] [deg]"}
+    assert columns("{q: position[0] [deg], u: effort[0]}") == {"q": "position[0] [deg]", "u": "effort[0]"}
 
 
 def test_copies_do_not_count_again(study: Study, folder: Path) -> None:

@@ -78,6 +78,25 @@ def test_failures_are_no_successes() -> None:
         arm(failure=stretched, states=folded, constants=constants(0.64))
 
 
+def test_small_limits_are_as_good_as_large_ones_and_steep_ones_are_survived() -> None:
+    squares = "x_error**2 + y_error**2"
+    with warnings.catch_warnings(action="error"):
+        for value, below in (
+            (squares, 5e-7),
+            (f"sqrt({squares})", 1e-6),
+            ("abs(100 * (shoulder - 100))**3", 1.0),
+        ):
+            arm(success={"near": {"value": value, "below": below}})
+        arm(failure={"off": {"value": "max(abs(shoulder) - 3, 0)", "above": 0.0}})
+    for power in (2, 3, 4):
+        steep = {"near": {"value": f"abs(57.3 * (shoulder + elbow - 6))**{power}", "below": 1.0}}
+        arm(success=steep, constants=constants(0.5))
+    with pytest.warns(
+        StudyWarning, match=r"out of reach: in the nearest state found, there is .*, not below 0"
+    ):
+        arm(success={"there": {"value": "(shoulder - 1)**2", "below": 0.0}})
+
+
 def test_nothing_is_said_of_conditions_without_slopes() -> None:
     steps = {"stepped": {"value": "min(max(1e9 * (shoulder - 9), 0), 1)", "above": 0.5}}
     with warnings.catch_warnings():

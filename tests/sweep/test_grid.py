@@ -208,6 +208,12 @@ def test_only_keeps_points_by_their_labels() -> None:
     assert one == replace(read_axis("x", noise | {"values": [[1.0, 2.0]]}), left_out=("0/0.5",))
     single = {"keys": "u", "values": [0.25, 0.5]}
     assert read_axis("x", single | {"only": [0.5]}).labels == ("0.5",)
+    other = {"keys": "u", "values": [True, None, 1.0], "only": [True, None]}
+    assert read_axis("x", other).labels == ("True", "None")
+    assert read_axis("x", other | {"labels": ["on", "off", "1.0"], "only": ["off", 1.0]}).labels == (
+        "off",
+        "1.0",
+    )
     for only, message in (
         (["d"], "x.only: no such point: d; there are a, b, c"),
         ([], "x.only: keeps no point"),

@@ -21,8 +21,8 @@ MAGNITUDES = 0.0, 2.5  # of the starts' deviations from drawn ones, decimal loga
 STEPS = 200  # of a search
 NEARER = 0.9  # of what the worst start lacks: a search has come nearer
 SLOPE_STEP = 1e-6  # relative to a state, 1 at least
-SLIGHT = 1e-6  # of what a state lacks: nothing
-DAMPING = 4.0  # of a search's steps: factor, down if a step helps, else up
+SLIGHT = 1e-6  # of what a state lacks, relative to the limit: nothing
+DAMPING, LEAST_DAMPING = 4.0, 1e-9  # of a search's steps: factor, down if a step helps, else up; the least
 TINY = 1e-12  # of the square of slopes: a search without any stays where it is
 
 
@@ -50,19 +50,16 @@ def warn_out_of_reach(task: Task, success: Success, seen: Callable[[Array], Arra
         return task.error(x, np.repeat(t, len(x) // len(t)))
 
     def lacking(x: Array) -> Array:
-        short = success.lacking(seen(x), np.repeat(t, len(x) // len(t)), error(x))
-        both = np.concatenate([short, task.measure(x) - limits], axis=1)
-        return np.maximum(both + 2 * SLIGHT, 0.0)  # limits are not reached, but passed
+        short = success.lacking(seen(x), np.repeat(t, len(x) // len(t)), error(x)) / _sizes(success.limits)
+        beyond = (task.measure(x) - limits) / _sizes(limits)
+        return np.maximum(np.concatenate([short + 2 * SLIGHT, beyond], axis=1), 0.0)  # limits are passed
 
     def of_all(x: Array) -> Array:
         return lacking(x.reshape(-1, x.shape[-1])).reshape(*x.shape[:2], -1)
 
     with np.errstate(all="ignore"):
         x = nearest(lacking, np.concatenate([starts, nearest(error, starts, free)], axis=1), free)
-        before, lack = (
-            _finite(of_all(starts)).max(axis=1),
-            of_all(x),
-        )  # (cases, conditions); (cases, s, conditions)
+        before, lack = _finite(of_all(starts)).max(axis=1), of_all(x)  # (cases, c), (cases, s, c)
     best = range(cases), _largest(lack).argmin(axis=1)
     x, lack = x[best], lack[best]
     short = lack > SLIGHT
@@ -71,6 +68,7 @@ def warn_out_of_reach(task: Task, success: Success, seen: Callable[[Array], Arra
         return
     first = missed[:1]
     how = success.missed_by(seen(x[first]), t[first], task.error(x[first], t[first]))
+    how = how or f"the task fails ({task.failure(x[first][0])})"
     which = f" for {missed.size} of {cases} drawn targets" if task.targets else ""
     words = f"success seems out of reach{which}: in the nearest state found, {how} at t = {t[first][0]:.3g} s"
     warnings.warn(words, StudyWarning, stacklevel=5)
@@ -90,14 +88,22 @@ def nearest(residuals: Callable[[Array], Array], starts: Array, free: int) -> Ar
         J = _slopes(residuals, x, free)
         square, downhill = J.transpose(0, 2, 1) @ J, J.transpose(0, 2, 1) @ _finite(r)[:, :, None]
         sizes = np.trace(square, axis1=1, axis2=2)
-        square += (damping * sizes + TINY)[:, None, None] * np.eye(free)
+        square += np.maximum(damping * sizes, TINY)[:, None, None] * np.eye(free)
         moved = x.copy()
-        moved[:, :free] -= np.linalg.solve(square, downhill)[:, :, 0]
+        try:
+            moved[:, :free] -= np.linalg.solve(square, downhill)[:, :, 0]
+        except np.linalg.LinAlgError:  # slopes so steep that squares overflow
+            break
         after = residuals(moved)
         nearer = _total(after) < _total(r)
         x[nearer], r[nearer] = moved[nearer], after[nearer]
-        damping *= np.where(nearer, 1 / DAMPING, DAMPING)
+        damping = np.clip(damping * np.where(nearer, 1 / DAMPING, DAMPING), LEAST_DAMPING, None)
     return x.reshape(starts.shape)
+
+
+def _sizes(limits: Array) -> Array:
+    """Sizes (c,) of limits (c,), by which what states lack is compared; 1 where a limit is 0."""
+    return np.where(limits == 0.0, 1.0, np.abs(limits))
 
 
 def _slopes(residuals: Callable[[Array], Array], x: Array, free: int) -> Array:

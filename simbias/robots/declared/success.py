@@ -27,7 +27,7 @@ class Success:
     ) -> None:
         self._conditions = conditions
         limits = [criterion_of(name, each, ()).limit for name, each in conditions.items()]
-        self._limits = np.array(limits)  # which the measures must exceed
+        self.limits = np.array(limits)  # (c,), which the measures must exceed
         self._measures = measures
         self._frames, self._seconds = frames, seconds
 
@@ -38,7 +38,7 @@ class Success:
         determine, are nan.
         """
         least = self._measures(goal).min(axis=0)
-        for (name, each), value, limit in zip(self._conditions.items(), least, self._limits, strict=True):
+        for (name, each), value, limit in zip(self._conditions.items(), least, self.limits, strict=True):
             if value <= limit:
                 there = f"{each.value} is {_beside_bound(each, value, limit)} at the goal"
                 raise ValueError(f"success.{name} cannot hold: {there}")
@@ -68,20 +68,20 @@ class Success:
 
     def holds(self, states: Array, times: Array, errors: Array) -> bool:
         """Whether an episode of states (T+1, .) at times (T+1,), with errors (T+1, g), succeeds."""
-        return bool((self._least(states, times, errors) > self._limits).all())
+        return bool((self._least(states, times, errors) > self.limits).all())
 
     def share(self, states: Array, times: Array, errors: Array) -> float:
         """The share of an episode's frames in which all conditions hold."""
-        return float((self._measures(_rows_of(states, times, errors)) > self._limits).all(axis=1).mean())
+        return float((self._measures(_rows_of(states, times, errors)) > self.limits).all(axis=1).mean())
 
     def shortfalls(self, states: Array, times: Array, errors: Array) -> Array:
         """How far (T+1, k) each frame is from the limits of the conditions that an episode misses."""
         short = np.maximum(self.lacking(states, times, errors), 0.0)
-        return short[:, ~(self._least(states, times, errors) > self._limits)]
+        return short[:, ~(self._least(states, times, errors) > self.limits)]
 
     def lacking(self, states: Array, times: Array, errors: Array) -> Array:
         """By how much (k, c) states (k, .) at times (k,), with errors (k, g), miss each condition's limit."""
-        lacking: Array = self._limits - self._measures(_rows_of(states, times, errors))
+        lacking: Array = self.limits - self._measures(_rows_of(states, times, errors))
         return lacking
 
     def times(self, task: Task) -> Array:
@@ -98,7 +98,7 @@ class Success:
         """The conditions that do not hold in all these rows, with the values furthest from their bounds."""
         least = self._measures(_rows_of(states, times, errors)).min(axis=0)
         missed = []
-        for (name, each), value, limit in zip(self._conditions.items(), least, self._limits, strict=True):
+        for (name, each), value, limit in zip(self._conditions.items(), least, self.limits, strict=True):
             if not value > limit:
                 missed.append(f"{name} is {_beside_bound(each, value, limit)}")
         return "; ".join(missed)
