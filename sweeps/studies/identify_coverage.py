@@ -4,9 +4,9 @@
 
 A seed draws a robot from the prior of a preset's nominal model, and noise. Two recordings of this robot under
 inputs designed as by `excite` are simulated, sampled, written as CSV files and given to `identify`, in frames
-as long as the sampling interval. In some cases velocities are estimated from positions, or recorded late, or
-a spring acts that the model lacks. `coverage.csv` gets a row for each robot as it ends: killed and started
-again, only what is missing runs. A table is printed.
+as long as the sampling interval. In some cases velocities are estimated from positions, or recorded late, a
+spring acts that the model lacks, or inputs jump every 0.1 s, where predictions begin. `coverage.csv` gets a
+row for each robot as it ends: killed and started again, only what is missing runs. A table is printed.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ STEP = 0.01  # s, frames in which robots are simulated
 PENDULUM = Path(__file__).with_name("pendulum_rk4.xml")
 NOISE = {"position": 5e-4, "angle": 5e-4, "velocity": 0.02}  # standard deviations, in m, rad, m/s or rad/s
 RATES = (100, 50, 20)  # Hz
-CASE = ["robot", "hz", "velocities", "spring"]
+CASE = ["robot", "hz", "velocities", "spring", "inputs"]
+JUMPS, LARGEST = 0.1, 0.4  # s between jumps of inputs; largest input, of its limit
 COUNTED = ["intervals that hold the truth", "trusted ones that do"]
 COUNTED += ["errors over what is explained: median (range)", "models said to lack something"]
 
@@ -64,6 +65,7 @@ class Case(NamedTuple):
     hz: int
     velocities: str = "recorded"  # or estimated, or late
     spring: str = "no"
+    inputs: str = "designed"  # or jump
 
 
 LATE = {"2 ms late": 0.002, "5 ms late": 0.005}  # s
@@ -74,6 +76,7 @@ CASES = [
         *(Case(robot, hz, velocities) for velocities in ("recorded", "estimated") for hz in RATES),
         *(Case(robot, 100, late) for late in LATE),
         *(Case(robot, hz, spring="yes") for hz in (100, 20)),
+        Case(robot, 100, inputs="jump"),
     ]
 ]
 
@@ -85,11 +88,15 @@ def options(robot: str, frame: float) -> list[str]:
     return [*ROBOTS[robot].overrides, *common]
 
 
-def excitation(robot: str, hz: int) -> list[Array]:
+def excitation(robot: str, hz: int, inputs: str) -> list[Array]:
     """The inputs (T, m) of each recording."""
-    study = prepared(simbias.load(options(robot, 1 / hz)))
+    study, rngs = prepared(simbias.load(options(robot, 1 / hz))), np.random.default_rng(0).spawn(RECORDINGS)
+    if inputs == "jump":
+        limit, held = LARGEST * study.task.input_limit, round(JUMPS * hz)
+        size = (round(SECONDS / JUMPS), len(limit))
+        return [np.repeat(limit * rng.uniform(-1, 1, size), held, axis=0) for rng in rngs]
     noise = np.array([NOISE[state.kind] for state in study.task.states])
-    designer, rngs = Designer(study, study.nominal, noise), np.random.default_rng(0).spawn(RECORDINGS)
+    designer = Designer(study, study.nominal, noise)
     return [designer.design(SECONDS, TRAJECTORIES, rng).rollout.inputs for rng in rngs]
 
 
@@ -176,11 +183,11 @@ def main(arguments: argparse.Namespace) -> None:
     kept = pd.read_csv(path) if path.exists() else pd.DataFrame(columns=[*CASE, "seed"])
     done = set(kept[[*CASE, "seed"]].itertuples(index=False, name=None))
     missing = [(case, s) for s in range(arguments.seeds) for case in CASES if (*case, s) not in done]
-    places = list(dict.fromkeys((case.robot, case.hz) for case, _ in missing))
+    places = list(dict.fromkeys((case.robot, case.hz, case.inputs) for case, _ in missing))
     designed = Parallel(n_jobs=arguments.jobs)(delayed(excitation)(*place) for place in places)
     inputs = dict(zip(places, designed, strict=True))
     made = Parallel(n_jobs=arguments.jobs, return_as="generator_unordered")(
-        delayed(measure)(case, seed, inputs[case.robot, case.hz]) for case, seed in missing
+        delayed(measure)(case, seed, inputs[case.robot, case.hz, case.inputs]) for case, seed in missing
     )
     for row in made:
         pd.DataFrame([row]).to_csv(path, mode="a", header=not path.exists(), index=False)
