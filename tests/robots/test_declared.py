@@ -333,6 +333,10 @@ def test_what_cannot_be_meant_is_refused() -> None:
         ({"drawing": {"rail": {"points": [["0", "nosuch"]]}}}, "^task: drawing.rail.0.y: 'nosuch'"),
         ({"drawing": {"rail": {"points": [[0, 0, 0]]}}}, "^task.drawing.rail.points.0: "),
         ({"goal": {"height": "0"}}, "goal: no state or output is called height; available: position"),
+        (
+            {"outputs": {"position": {"value": "2 * position"}}, "goal": {"position": "0.1"}},
+            "goal.position: a state and an output with other values have this name",
+        ),
         ({"goal": {"position": "0.5 + t"}}, "goal.position is 0.95.* where the task fails: leaves"),
         (
             {"goal": {"position": "-t"}, "failure": {"ends": {"value": "position", "below": -0.5}}},

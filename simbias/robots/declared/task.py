@@ -214,6 +214,7 @@ class Declared(Task):
         for name in self._reference.names:
             if name not in known:
                 raise ValueError(f"goal: no state or output is called {name}; available: {', '.join(known)}")
+            self._check_meant(name)
         aimed = [known[name] for name in self._reference.names]
         self._aimed, self._goals = [index for index, _ in aimed], tuple(quantity for _, quantity in aimed)
         if self.criteria:
@@ -226,6 +227,15 @@ class Declared(Task):
         check_jumps(self._reference, self._goals, self.time_step)
         if file is not None:
             check_rows(self._reference, self._goals, file, self.time_step)
+
+    def _check_meant(self, name: str) -> None:
+        """Refuse a goal's name that a state and an output have if their values differ."""
+        states, outputs = ([each.name for each in some] for some in (self.states, self.outputs))
+        if name in states and name in outputs:
+            x = drawn_starts(self, np.random.default_rng(0))
+            own, other = x[:, states.index(name)], self.output(x)[:, outputs.index(name)]
+            if not np.allclose(own, other):
+                raise ValueError(f"goal.{name}: a state and an output with other values have this name")
 
     def _set_success(
         self, success: Mapping[str, Failure], hold: float | None, failure: Mapping[str, Failure]
