@@ -78,6 +78,21 @@ def test_failures_are_no_successes() -> None:
         arm(failure=stretched, states=folded, constants=constants(0.64))
 
 
+def test_what_a_hand_reaches_within_its_joints_limits_is_in_reach() -> None:
+    ends = {"shoulder": (-1.5, 1.5), "elbow": (-2.5, -0.1)}
+    failure: dict[str, Any] = {
+        f"{name}_low": {"value": name, "below": low} for name, (low, _) in ends.items()
+    }
+    failure |= {f"{name}_high": {"value": name, "above": high} for name, (_, high) in ends.items()}
+    states = {name: {"unit": "rad", "mean": sum(each) / 2} for name, each in ends.items()}
+    for shoulder, elbow in np.random.default_rng(0).uniform(*np.transpose([*ends.values()]), (30, 2)):
+        x, y = (UPPER * f(shoulder) + FORE * f(shoulder + elbow) for f in (np.cos, np.sin))
+        off = f"sqrt((u * cos(shoulder) + f * cos(shoulder + elbow) - ({x}))**2"
+        off += f" + (u * sin(shoulder) + f * sin(shoulder + elbow) - ({y}))**2)"
+        with warnings.catch_warnings(action="error"):
+            arm(failure=failure, states=states, success={"there": {"value": off, "below": 0.01}})
+
+
 def test_small_limits_are_as_good_as_large_ones_and_steep_ones_are_survived() -> None:
     squares = "x_error**2 + y_error**2"
     with warnings.catch_warnings(action="error"):

@@ -46,23 +46,25 @@ def warn_out_of_reach(task: Task, success: Success, seen: Callable[[Array], Arra
         t = np.full(cases, last[-1])
         starts[:, :, free:] = drawn[:cases, None, free:]
 
+    slight = SLIGHT * _sizes(np.concatenate([success.limits, limits]))
+
     def error(x: Array) -> Array:
         return task.error(x, np.repeat(t, len(x) // len(t)))
 
     def lacking(x: Array) -> Array:
-        short = success.lacking(seen(x), np.repeat(t, len(x) // len(t)), error(x)) / _sizes(success.limits)
-        beyond = (task.measure(x) - limits) / _sizes(limits)
-        return np.maximum(np.concatenate([short + 2 * SLIGHT, beyond], axis=1), 0.0)  # limits are passed
+        short = success.lacking(seen(x), np.repeat(t, len(x) // len(t)), error(x))
+        passed = short + 2 * slight[: short.shape[1]]  # limits are passed, not only reached
+        return np.maximum(np.concatenate([passed, task.measure(x) - limits], axis=1), 0.0)
 
     def of_all(x: Array) -> Array:
         return lacking(x.reshape(-1, x.shape[-1])).reshape(*x.shape[:2], -1)
 
     with np.errstate(all="ignore"):
-        x = nearest(lacking, np.concatenate([starts, nearest(error, starts, free)], axis=1), free)
+        x = nearest(lacking, np.concatenate([starts, nearest(error, starts, free)], axis=1), free, slight)
         before, lack = _finite(of_all(starts)).max(axis=1), of_all(x)  # (cases, c), (cases, s, c)
-    best = range(cases), _largest(lack).argmin(axis=1)
+    best = range(cases), _largest(lack / slight).argmin(axis=1)
     x, lack = x[best], lack[best]
-    short = lack > SLIGHT
+    short = lack > slight
     missed = np.flatnonzero(short.any(axis=1) & (~short | (lack < NEARER * before)).all(axis=1))
     if not missed.size:
         return
@@ -74,16 +76,18 @@ def warn_out_of_reach(task: Task, success: Success, seen: Callable[[Array], Arra
     warnings.warn(words, StudyWarning, stacklevel=5)
 
 
-def nearest(residuals: Callable[[Array], Array], starts: Array, free: int) -> Array:
+def nearest(
+    residuals: Callable[[Array], Array], starts: Array, free: int, slight: Array | float = SLIGHT
+) -> Array:
     """States (k, s, n) that reduce the squares of residuals, from starts (k, s, n) of k cases.
 
     `residuals` maps states (k s r, n), case by case, to (k s r, c). Only the first `free` states change. The
-    search ends once each case has a state without residuals.
+    search ends once each case has a state whose residuals are at most `slight` (c,).
     """
     x = starts.reshape(-1, starts.shape[-1]).copy()
     damping, r = np.full(len(x), 1e-3), residuals(x)
     for _ in range(STEPS):
-        if (_largest(r).reshape(len(starts), -1).min(axis=1) <= SLIGHT).all():
+        if (_largest(r / slight).reshape(len(starts), -1).min(axis=1) <= 1.0).all():
             break
         J = _slopes(residuals, x, free)
         square, downhill = J.transpose(0, 2, 1) @ J, J.transpose(0, 2, 1) @ _finite(r)[:, :, None]
@@ -102,7 +106,7 @@ def nearest(residuals: Callable[[Array], Array], starts: Array, free: int) -> Ar
 
 
 def _sizes(limits: Array) -> Array:
-    """Sizes (c,) of limits (c,), by which what states lack is compared; 1 where a limit is 0."""
+    """Sizes (c,) of limits (c,), relative to which what states lack is slight; 1 where a limit is 0."""
     return np.where(limits == 0.0, 1.0, np.abs(limits))
 
 
