@@ -31,6 +31,7 @@ Mass = Annotated[float, Field(ge=1e-6, le=1e6)]  # kg
 MassOrZero = Annotated[float, Field(ge=0, le=1e6)]
 Inertia = Annotated[float, Field(ge=1e-9, le=1e9)]  # kg m^2
 Length = Annotated[float, Field(ge=1e-6, le=1e6)]  # m
+FigureWidth = Annotated[float, Field(ge=3.2, le=20)]  # in
 Force = Annotated[float, Field(ge=1e-6, le=1e9)]  # N or N m
 Acceleration = Annotated[float, Field(ge=1e-6, le=1e3)]  # m/s^2
 Angle = Annotated[float, Field(gt=0, le=1e3)]  # rad
@@ -64,8 +65,6 @@ def frames_in(span: Span, time_step: float) -> int:
     number, unit = span.rstrip("ms"), 1e-3 if span.endswith("ms") else 1.0
     return max(1, round(float(number) * unit / time_step))
 
-
-FigureWidth = Annotated[float, Field(ge=3.2, le=20)]  # in
 
 # Numbers without a unit, or with any.
 Share = Annotated[float, Field(gt=0, le=1)]

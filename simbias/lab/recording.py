@@ -16,7 +16,7 @@ from simbias.lab.rates import check_rates, jumps, late_rates, rates_of
 from simbias.lab.signals import Signal, Signals, signals, split_name
 from simbias.lab.units import factor
 
-DEGREES = ": is it in degrees, or sampled too rarely?"
+ASKED = ": is it in degrees, or sampled too rarely?"
 OFTEN_WRAPPED = 0.2  # share of samples between which an angle jumps by more than half a turn
 MOST_TURNS = 1.5  # turns between two samples of a wrapped angle
 GAP = 5.0  # usual sampling intervals: a longer one is a gap
@@ -140,10 +140,10 @@ class Reader:
         if len(jumps := np.flatnonzero(np.abs(steps) > MOST_TURNS * turn)):
             first, then = map(file.place, signal.places[jumps[0] : jumps[0] + 2])
             jump = f"{steps[jumps[0]]:.3g} {angle.unit} from {first} to {then}"
-            raise HardwareError(f"{file.path}: column {column} jumps by {jump}, more than a turn{DEGREES}")
+            raise HardwareError(f"{file.path}: column {column} jumps by {jump}, more than a turn{ASKED}")
         if (wraps := np.count_nonzero(np.abs(steps) > turn / 2)) > OFTEN_WRAPPED * len(steps):
             often = f"more than half a turn in {wraps / len(steps):.0%} of its samples"
-            raise HardwareError(f"{file.path}: column {column} jumps by {often}{DEGREES}")
+            raise HardwareError(f"{file.path}: column {column} jumps by {often}{ASKED}")
         runs = np.split(values, begins)
         unwound = np.concatenate([np.unwrap(run, period=turn) for run in runs])
         if not np.array_equal(unwound, values):

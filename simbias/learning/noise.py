@@ -55,24 +55,24 @@ def smoothed(rollouts: Sequence[Rollout], frames: int, window: int = 0) -> list[
     if frames < FEWEST_AROUND or not long:
         return [rollout.states for rollout in rollouts]
     recorded = np.concatenate([rollout.states for rollout in long])
-    best, least, worse = recorded, np.full(recorded.shape[1], np.inf), np.zeros(recorded.shape[1], bool)
-    variances = noise_of(long) ** 2
-    begin = np.concatenate([(each.frames - np.arange(each.frames + 1)) % (window or 1) == 0 for each in long])
+    best, gone, least = recorded, np.zeros_like(recorded), np.full(recorded.shape[1], np.inf)
+    own = np.zeros(recorded.shape[1])  # weight of a sample in its own smoothed value
     for half in np.unique(np.geomspace(FEWEST_AROUND, frames, WIDTHS).round().astype(int)).tolist():
         width = 2 * half + 1
         smooth = np.concatenate([savgol_filter(rollout.states, width, DEGREE, axis=0) for rollout in long])
         removed = np.abs(smooth - recorded)
         outlying = OUTLIER * robust_deviation(removed)
-        outliers = removed > outlying
-        weight = savgol_coeffs(width, DEGREE)[half]  # of a sample in its own smoothed value
-        removed = np.minimum(removed, outlying)
+        kept, removed = np.where(removed > outlying, recorded, smooth), np.minimum(removed, outlying)
+        weight = savgol_coeffs(width, DEGREE)[half]
         errors = np.mean((removed / (1.0 - weight)) ** 2, axis=0)
-        risk = np.mean(removed[begin] ** 2, axis=0) - (1.0 - 2.0 * weight) * variances
-        worse = np.where(errors < least, risk > variances, worse)
-        best = np.where(errors < least, np.where(outliers, recorded, smooth), best)
-        least = np.minimum(errors, least)
+        better = errors < least
+        best, gone = np.where(better, kept, best), np.where(better, removed, gone)
+        own, least = np.where(better, weight, own), np.minimum(errors, least)
     if window:
-        best = np.where(worse, recorded, best)
+        begin = np.concatenate([(x.frames - np.arange(x.frames + 1)) % window == 0 for x in long])
+        variances = noise_of(long) ** 2
+        risk = np.mean(gone[begin] ** 2, axis=0) - (1.0 - 2.0 * own) * variances
+        best = np.where(risk > variances, recorded, best)
     ends = np.cumsum([len(rollout.states) for rollout in long])[:-1]
     made = iter(np.split(best, ends))
     return [next(made) if each else rollout.states for rollout, each in zip(rollouts, noisy, strict=True)]

@@ -93,7 +93,7 @@ def mistakes(
         found.append(Mistake(words, float(errs[0] / last[0]), wrong))
         recordings = {n: each if n in right else change.of(each) for n, each in recordings.items()}
         rollouts = [each for pieces in recordings.values() for each in pieces]
-        last = errors(rollouts)
+        last = errors(rollouts) if right else errs
     return [*found, *_in_some({name: recordings[name] for name in judged}, left, errors)]
 
 

@@ -89,7 +89,8 @@ def read_axis(name: str, spec: Any) -> Axis:
             key += f".{inner}"
         if key.endswith(".only"):
             raise ConfigError(
-                f"sweep.axes.{key.removesuffix('.only')}", "no such axis, whose points `only` could keep"
+                f"sweep.axes.{key.removesuffix('.only')}",
+                "no such axis; `only` keeps points of one that the sweep has",
             )
         dotted = f"; for a key with dots: '+sweep.axes={{{key}: [...]}}'"
         otherwise = dotted if isinstance(value, list) else ", or have keys and values, or points"
@@ -125,8 +126,9 @@ def _kept(axis: Axis, only: Sequence[Any] | None) -> Axis:
             raise ConfigError(where, f"no such point: {each}; there are {', '.join(axis.labels)}")
     at = [index for index, text in enumerate(axis.labels) if text in wanted]
     points, texts = tuple(axis.points[i] for i in at), tuple(axis.texts[i] for i in at)
-    labels, rest = tuple(axis.labels[i] for i in at), tuple(set(axis.labels) - set(wanted))
-    return _checked(Axis(axis.name, points, labels, texts, rest))
+    labels = tuple(axis.labels[i] for i in at)
+    left_out = tuple(text for text in axis.labels if text not in wanted)
+    return _checked(Axis(axis.name, points, labels, texts, left_out))
 
 
 def _checked(axis: Axis) -> Axis:

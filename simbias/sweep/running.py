@@ -86,7 +86,8 @@ def prepare(store: Tracking, variations: Variations, trials_engine: Engine) -> t
             raise ConfigError("", f"{error}{where}") from error
         tested |= study.policy_test.episodes > 0
         studies.setdefault(tuple(sorted(cell.composition.choices.values())), study)
-    _check_folder(sweep.figures_to)
+    if sweep.figures_to is not None:
+        _check_folder(Path(sweep.figures_to).resolve())
     for name, figure in sweep.figures.items():
         if store.folder is None and figure.reads_trials:
             raise ConfigError("tracking", f"none keeps no trials, but sweep.figures.{name} needs them")
@@ -101,9 +102,8 @@ def prepare(store: Tracking, variations: Variations, trials_engine: Engine) -> t
     return sweep, ended
 
 
-def _check_folder(place: str | None) -> None:
+def _check_folder(path: Path) -> None:
     """Refuse a place for copies of figures in which no folder can be written."""
-    path = Path(place or ".").resolve()
     there = next(each for each in (path, *path.parents) if each.exists())
     if not there.is_dir():
         raise ConfigError("sweep.figures_to", f"{there} is not a folder")

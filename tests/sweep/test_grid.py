@@ -156,10 +156,12 @@ def test_bad_sweep() -> None:
         "adds an axis; an axis has keys, values, labels, points and only": [
             "+sweep={trials: 1, axes: {x: {keys: bias.d, values: [1.0]}}}", "sweep.axes.x.valus=[0.1]"
         ],
-        "sweep.axes.y: no such axis, whose points `only` could keep": [
+        "sweep.axes.y: no such axis; `only` keeps points of one that the sweep has": [
             "+sweep={trials: 1, axes: {x: {keys: bias.d, values: [1.0]}}}", "+sweep.axes.y.only=[1.0]"
         ],
-        "sweep.axes.task.horizon: no such axis, whose": ["+sweep=smoke", "+sweep.axes.task.horizon.only=[1]"],
+        "sweep.axes.task.horizon: no such axis; `only` keeps": [
+            "+sweep=smoke", "+sweep.axes.task.horizon.only=[1]"
+        ],
         "sweep.axes.x.keys: hardware.nosuch: no such key": [
             "+sweep={trials: 1, axes: {x: {points: {a: {hardware.nosuch: {b: 1}}}}}}"
         ],

@@ -32,20 +32,11 @@ def warn_out_of_reach(task: Task, success: Success, seen: Callable[[Array], Arra
     `seen` maps states (k, n) to the states and sensor values that conditions use. Nothing is said if searches
     do not come nearer, such as to a narrow bell from afar.
     """
-    rng, free = np.random.default_rng(0), len(task.states) - len(task.targets)
-    limits = np.array([criterion.limit for criterion in task.criteria])
     cases, count = (FEW, FEW) if slow else (TIMES, STARTS)
-    last, drawn = success.times(task), drawn_starts(task, rng)
-    t = last[np.linspace(0, len(last) - 1, cases, dtype=int)]
-    starts = np.tile(drawn[:count], (cases, 1, 1))
-    starts[:, 0] = task.start_mean
-    few = count // 3  # near the drawn ones
-    far = starts[:, few:]
-    far += rng.choice([-1.0, 1.0], far.shape) * 10.0 ** rng.uniform(*MAGNITUDES, far.shape)
-    if task.targets:
-        t = np.full(cases, last[-1])
-        starts[:, :, free:] = drawn[:cases, None, free:]
-
+    last, free = success.times(task), len(task.states) - len(task.targets)
+    at = np.full(cases, len(last) - 1) if task.targets else np.linspace(0, len(last) - 1, cases, dtype=int)
+    t, starts = last[at], _starts(task, cases, count)
+    limits = np.array([criterion.limit for criterion in task.criteria])
     slight = SLIGHT * _sizes(np.concatenate([success.limits, limits]))
 
     def error(x: Array) -> Array:
@@ -74,6 +65,18 @@ def warn_out_of_reach(task: Task, success: Success, seen: Callable[[Array], Arra
     which = f" for {missed.size} of {cases} drawn targets" if task.targets else ""
     words = f"success seems out of reach{which}: in the nearest state found, {how} at t = {t[first][0]:.3g} s"
     warnings.warn(words, StudyWarning, stacklevel=5)
+
+
+def _starts(task: Task, cases: int, count: int) -> Array:
+    """Starts (cases, count, n): the mean, a few drawn ones, and others far from these; targets by case."""
+    rng, robot = np.random.default_rng(0), len(task.states) - len(task.targets)
+    drawn = drawn_starts(task, rng)
+    starts = np.tile(drawn[:count], (cases, 1, 1))
+    starts[:, 0] = task.start_mean
+    far = starts[:, count // 3 :]
+    far += rng.choice([-1.0, 1.0], far.shape) * 10.0 ** rng.uniform(*MAGNITUDES, far.shape)
+    starts[:, :, robot:] = drawn[:cases, None, robot:]
+    return starts
 
 
 def nearest(

@@ -207,8 +207,7 @@ def _jumps(reference: Reference, goals: Sequence[Quantity], times: Array) -> lis
     around = np.pad(path, ((BRIEF, BRIEF), (0, 0)))
     beside = np.maximum(around[: -2 * BRIEF], around[2 * BRIEF :])
     least = np.maximum(JUMP * np.ptp(values, axis=0), ROUNDING)
-    jumps = np.argwhere(
-        (path > least) & (path > STEEP * beside)
-    ).tolist()  # also of a single frame, there and back
+    # By the path, not the change: a single row may jump there and back.
+    jumps = np.argwhere((path > least) & (path > STEEP * beside)).tolist()
     sizes = np.maximum(moved, steps[:-1])
     return [(i, j, f"{sizes[i, j]:.3g} {goals[j].unit}".strip()) for i, j in jumps]
