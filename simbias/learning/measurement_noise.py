@@ -36,26 +36,52 @@ class Linearisation:
         return flat @ flat.T / len(weights)
 
 
-def noise_covariance(errors: Array, weights: Array, linearisation: Linearisation, floor: Array) -> Array:
-    """Covariance (d, d) of errors due to the measurement noise that best explains errors (w, d).
+@dataclass(frozen=True, eq=False)
+class MeasurementNoise:
+    """White noise in measured states: at the start of each window, and in the chunk means compared with."""
 
-    Noise with variances P (n,) acts on a window's first state; noise with variances R (n,) acts on the chunk
-    means that are compared with predictions. Expectation maximisation estimates both. Neither falls below the
-    square of the deviations `floor` (d,).
-    """
-    F = linearisation.by_start
-    w, d, n = F.shape
-    observed = np.concatenate([errors[:, :, None], linearisation.by_parameters], axis=2)
-    observed *= np.sqrt(weights)[:, None, None]
-    variance_floor = floor.reshape(-1, n)[0] ** 2
-    R = np.mean(np.sum(observed**2, axis=2), axis=0).reshape(-1, n).mean(axis=0) / 2 + variance_floor
-    P = R.copy()
-    for _ in range(ROUNDS):
-        of_starts, remaining = _moments(F, observed, P, np.tile(R, d // n))
-        P = of_starts.mean(axis=0) + variance_floor
-        R = remaining.mean(axis=0).reshape(-1, n).mean(axis=0) + variance_floor
-    flat = (F * np.sqrt(P)).transpose(1, 0, 2).reshape(d, -1)
-    return flat @ flat.T / w + np.diag(np.tile(R, d // n))
+    starts: Array  # (n,) variances of a window's first state
+    means: Array  # (n,) variances of chunk means
+
+    @staticmethod
+    def of(errors: Array, weights: Array, linearisation: Linearisation, floor: Array) -> MeasurementNoise:
+        """The noise that best explains errors (w, d), by expectation maximisation.
+
+        No variance falls below the square of the deviations `floor` (d,).
+        """
+        F = linearisation.by_start
+        d, n = F.shape[1:]
+        observed = np.concatenate([errors[:, :, None], linearisation.by_parameters], axis=2)
+        observed *= np.sqrt(weights)[:, None, None]
+        variance_floor = floor.reshape(-1, n)[0] ** 2
+        R = np.mean(np.sum(observed**2, axis=2), axis=0).reshape(-1, n).mean(axis=0) / 2 + variance_floor
+        P = R.copy()
+        for _ in range(ROUNDS):
+            of_starts, remaining = _moments(F, observed, P, np.tile(R, d // n))
+            P = of_starts.mean(axis=0) + variance_floor
+            R = remaining.mean(axis=0).reshape(-1, n).mean(axis=0) + variance_floor
+        return MeasurementNoise(P, R)
+
+    def covariance(self, linearisation: Linearisation) -> Array:
+        """Covariance (d, d) of window errors due to this noise, on average over the windows."""
+        w, d, n = linearisation.by_start.shape
+        flat = (linearisation.by_start * np.sqrt(self.starts)).transpose(1, 0, 2).reshape(d, -1)
+        return flat @ flat.T / w + np.diag(np.tile(self.means, d // n))
+
+    def excess(self, scores: Array, weights: Array, linearisation: Linearisation, spread: Array) -> Array:
+        """A root (p, p) of what the covariance of a sum of scores exceeds that for average windows by.
+
+        The sum is over windows of scores (p, w, d) times errors, whose weights are (w,). Noise at the start
+        has more effect in some windows than in others; where these have large scores, too, the average is
+        too small. Only directions with an excess count, in coordinates with the covariance's root `spread`.
+        """
+        white = np.einsum("qp,qwd->pwd", spread, scores)
+        F = linearisation.by_start * np.sqrt(self.starts * weights[:, None])[:, None, :]
+        each = np.einsum("pwd,wdn->pwn", white, F).reshape(len(white), -1)
+        mean = np.einsum("wdn,wen->de", F, F, optimize=True) / len(F)
+        average = np.einsum("pwd,qwd->pq", white @ mean, white, optimize=True)
+        excess, directions = np.linalg.eigh(each @ each.T - average)
+        return np.linalg.solve(spread.T, directions * np.sqrt(np.maximum(excess, 0.0)))
 
 
 def _moments(F: Array, observed: Array, P: Array, R: Array) -> tuple[Array, Array]:

@@ -17,6 +17,8 @@ WIDTHS = 12  # candidate numbers of frames
 OUTLIER = 4.0  # deviations of noise
 EVEN = 2.0  # ratio of long to short sampling intervals; an encoder's steps differ more
 MOST_BENT = 0.85  # share of frames at which an interpolated line bends; above, each frame may be a sample
+OFTEN = 0.75  # quantile of an input's changes: a rare step does not count
+LARGER = 2.0  # ratio of these changes in a frame to the mean over frames: the input jumps there
 MOSTLY = 0.9  # of the samples: share that bends the line to one side only
 
 
@@ -45,8 +47,8 @@ def smoothed(rollouts: Sequence[Rollout], frames: int, window: int = 0) -> list[
     Savitzky and M. J. E. Golay, Analytical Chemistry 36, 1964). For each state, the number of frames is
     chosen by leave-one-out cross-validation, robust to outliers. Where smoothing would remove more than
     noise, as at a collision, states stay as recorded. True states and rollouts that are too short are
-    unchanged. Given the frames of windows, so is a state that smoothing bends where they begin by more than
-    it removes noise (C. M. Stein, Annals of Statistics 9, 1981), as velocities where inputs jump.
+    unchanged. Given the frames of windows, so are all states if inputs jump where windows begin: smoothing
+    would bend each velocity there in the same way, and even bends smaller than noise move parameters far.
     """
     from scipy.signal import savgol_coeffs, savgol_filter  # lazily, as in `Actuators`: few need it
 
@@ -55,8 +57,8 @@ def smoothed(rollouts: Sequence[Rollout], frames: int, window: int = 0) -> list[
     if frames < FEWEST_AROUND or not long:
         return [rollout.states for rollout in rollouts]
     recorded = np.concatenate([rollout.states for rollout in long])
-    best, gone, least = recorded, np.zeros_like(recorded), np.full(recorded.shape[1], np.inf)
-    own = np.zeros(recorded.shape[1])  # weight of a sample in its own smoothed value
+    best, least = recorded, np.full(recorded.shape[1], np.inf)
+    around = np.full(recorded.shape[1], frames)  # frames to each side
     for half in np.unique(np.geomspace(FEWEST_AROUND, frames, WIDTHS).round().astype(int)).tolist():
         width = 2 * half + 1
         smooth = np.concatenate([savgol_filter(rollout.states, width, DEGREE, axis=0) for rollout in long])
@@ -66,16 +68,26 @@ def smoothed(rollouts: Sequence[Rollout], frames: int, window: int = 0) -> list[
         weight = savgol_coeffs(width, DEGREE)[half]
         errors = np.mean((removed / (1.0 - weight)) ** 2, axis=0)
         better = errors < least
-        best, gone = np.where(better, kept, best), np.where(better, removed, gone)
-        own, least = np.where(better, weight, own), np.minimum(errors, least)
-    if window:
-        begin = np.concatenate([(x.frames - np.arange(x.frames + 1)) % window == 0 for x in long])
-        variances = noise_of(long) ** 2
-        risk = np.mean(gone[begin] ** 2, axis=0) - (1.0 - 2.0 * own) * variances
-        best = np.where(risk > variances, recorded, best)
+        best, around = np.where(better, kept, best), np.where(better, half, around)
+        least = np.minimum(errors, least)
+    if window and _jump(long, window, int(around.max()) // 2):
+        return [rollout.states for rollout in rollouts]
     ends = np.cumsum([len(rollout.states) for rollout in long])[:-1]
     made = iter(np.split(best, ends))
     return [next(made) if each else rollout.states for rollout, each in zip(rollouts, noisy, strict=True)]
+
+
+def _jump(rollouts: Sequence[Rollout], window: int, near: int) -> bool:
+    """Whether an input jumps where windows begin, give or take `near` frames, rather than elsewhere."""
+    parts = list[Array]()
+    for rollout in rollouts:
+        changes = np.abs(np.diff(rollout.inputs, axis=0, prepend=rollout.inputs[:1]))
+        parts.append(changes[len(changes) % window :].reshape(-1, window, changes.shape[1]))
+    windows = np.concatenate(parts)
+    if not len(windows):
+        return False
+    sizes = np.quantile(windows, OFTEN, axis=0)  # (window, m), by the frame in a window
+    return bool((sizes[np.arange(-near, near + 1) % window] > LARGER * sizes.mean(axis=0)).any())
 
 
 def _samples(values: Array) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from simbias.core.records import Array, Indices
-from simbias.learning.measurement_noise import Linearisation, noise_covariance
+from simbias.learning.measurement_noise import Linearisation, MeasurementNoise
 from simbias.learning.noise import robust_deviation
 from simbias.simulation.open_loop import Windows
 
@@ -30,6 +30,7 @@ class ErrorDistribution:
     factor: Array  # (d, d) lower factor L of the scale matrix
     freedom: float = FREEDOM
     independent_share: float = 1.0  # effective number of windows over the actual one; 1 if independent
+    noise: MeasurementNoise | None = None  # None without linearised predictions
 
     @staticmethod
     def of(
@@ -51,16 +52,17 @@ class ErrorDistribution:
         scale = np.clip(robust_deviation(np.abs(e)), floor, CEILING)
         e = np.clip(e, -CEILING * scale, CEILING * scale)
         estimate = ErrorDistribution(np.diag(scale), freedom)
-        shrink = len(floor) / (len(floor) + w)
+        shrink, noise = len(floor) / (len(floor) + w), None
         for _ in range(ROUNDS):
             weights = estimate.weights(estimate.whiten(errors))
             covariance = e.T @ (weights[:, None] * e) / w + np.diag(floor**2)
             target = np.diag(np.diag(covariance))
             if linearisation is not None:
                 covariance += linearisation.parameter_covariance(weights)
-                target = noise_covariance(e, weights, linearisation, floor)
+                noise = MeasurementNoise.of(e, weights, linearisation, floor)
+                target = noise.covariance(linearisation)
             factor = np.linalg.cholesky((1.0 - shrink) * covariance + shrink * target)
-            estimate = ErrorDistribution(factor, freedom)
+            estimate = ErrorDistribution(factor, freedom, noise=noise)
         white = estimate.whiten(errors)
         weighted = np.sqrt(estimate.weights(white))[:, None] * white
         return replace(

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from models import driven, with_values
 from pendulum import NOISE, QUICK, experiment, pendulum, truth
 
@@ -20,9 +22,9 @@ from simbias.learning.identification.problem import Problem, WindowErrors
 from simbias.learning.identification.refinement import moved_by_shorter_steps
 from simbias.learning.measurement_noise import (
     Linearisation,
+    MeasurementNoise,
     _moments,
     _moments_of_directions,
-    noise_covariance,
 )
 from simbias.learning.prediction_errors import FREEDOM, ErrorDistribution, correlation_time
 from simbias.recordings.assessment import prepared
@@ -154,12 +156,37 @@ def test_noise_of_a_robot_that_is_very_unstable_is_found() -> None:
     for F in (growth * towards, growth**0.1 * rng.standard_normal((30, 8, 2))):
         errors = np.einsum("wdn,wn->wd", F, starts) + noise
         linearisation = Linearisation(F, np.zeros((30, 8, 1)))
-        covariance = noise_covariance(errors, np.ones(30), linearisation, np.full(8, 1e-9))
+        noise_found = MeasurementNoise.of(errors, np.ones(30), linearisation, np.full(8, 1e-9))
+        covariance = noise_found.covariance(linearisation)
         assert np.isfinite(covariance).all()
         assert 0.4 < covariance[-1, -1] / np.mean(errors[:, -1] ** 2) < 2.5
     given = F, errors[:, :, None], np.array([1e-6, 2e-6]), np.linspace(1e-4, 2e-4, 8)
     for ours, theirs in zip(_moments(*given), _moments_of_directions(*given), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-9)
+
+
+@given(seed=st.integers(0, 1000))
+def test_the_spread_knows_windows_in_which_noise_has_more_effect(seed: int) -> None:
+    """The covariance of scores times errors is at most that of average windows and the excess.
+
+    Where noise has the same effect in all windows there is no excess.
+    """
+    rng, w, d, n, p = np.random.default_rng(seed), 50, 6, 2, 3
+    F, scores = rng.standard_normal((w, d, n)), rng.standard_normal((p, w, d))
+    F[rng.permutation(w)[:5]] *= 10.0
+    spread, noise = rng.standard_normal((p, p)), MeasurementNoise(np.array([1.0, 4.0]), np.ones(n))
+    same = np.tile(F[:1], (w, 1, 1))
+    for effects, some in ((F, True), (same, False)):
+        linearisation = Linearisation(effects, np.zeros((w, d, 1)))
+        root = noise.excess(scores, np.ones(w), linearisation, spread)
+        excess = spread.T @ root @ root.T @ spread
+        own = np.einsum("pwd,wdn->pwn", scores, effects * [1.0, 2.0]).reshape(p, -1)
+        average = np.einsum("pwd,de,qwe->pq", scores, noise.covariance(linearisation) - np.eye(d), scores)
+        missing = spread.T @ (own @ own.T - average) @ spread
+        size = np.abs(spread.T @ own @ own.T @ spread).max()
+        assert np.linalg.eigvalsh(excess - missing).min() > -1e-9 * size
+        assert (np.linalg.eigvalsh(missing).max() > 1e-9 * size) == (excess.max() > 1e-9 * size)
+        assert some or excess.max() < 1e-9 * size
 
 
 @pytest.mark.slow

@@ -83,7 +83,10 @@ class WindowErrors:
         return white[0], _slopes(white, len(z)), weights
 
     def scatter(self, z: Array, differences: Differences) -> Callable[[Array], Array]:
-        """A function: from a root (p, p) of the covariance of z to one (p, w d) of the gradient's."""
+        """A function: from a root (p, p) of the covariance of z to one (p, k) of the gradient's.
+
+        Central differences account for measurement noise that has more effect in some windows than in others.
+        """
         p, windows, around = len(z), self._windows, _around(z, differences)
         steps = STEP * (np.std(windows.states, axis=0) + LEAST_DEVIATION)
         n = len(steps)
@@ -96,13 +99,18 @@ class WindowErrors:
         white = self.errors.whiten(errors)
         J = _slopes(white, p)  # (p, w, d)
         by_parameters = np.moveaxis(_slopes(made, p), 0, -1)
-        weights = self.errors.independent_share * self.errors.weights(white[0])
+        root = np.sqrt(self.errors.independent_share * self.errors.weights(white[0]))[:, None]
 
         def across(spread: Array) -> Array:
             linearisation = Linearisation.of(by_start, by_parameters @ spread)
             estimate = ErrorDistribution.of(errors[0], windows, FREEDOM, linearisation)
             ratio = np.linalg.solve(self.errors.factor, estimate.factor)
-            return (np.sqrt(weights)[:, None] * (J @ ratio)).reshape(p, -1)
+            scattered = (root * (J @ ratio)).reshape(p, -1)
+            if differences == "forward" or estimate.noise is None:
+                return scattered
+            own = estimate.weights(estimate.whiten(errors[0]))
+            scores = root * (J @ self.errors.inverse)
+            return np.hstack([scattered, estimate.noise.excess(scores, own, linearisation, spread)])
 
         return across
 
