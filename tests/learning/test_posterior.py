@@ -142,7 +142,7 @@ def test_strong_motion_determines_no_more_than_there_is() -> None:
     fits = [each.identification.fit(study.nominal, [rollout]) for each in (study, prepared(study))]
     np.testing.assert_allclose(fits[0].mode, fits[1].mode, atol=0.01)
     assert [len(undetermined(fit)) for fit in fits] == [1, 2]
-    assert [direction.deviation for direction in undetermined(fits[1])] == pytest.approx([1, 1], abs=0.05)
+    assert [direction.deviation for direction in undetermined(fits[1])] == pytest.approx([1, 1], abs=0.1)
 
 
 def test_noise_of_a_robot_that_is_very_unstable_is_found() -> None:
