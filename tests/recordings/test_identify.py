@@ -281,10 +281,10 @@ def test_what_is_advised_may_help(assessment: Assessment) -> None:
 
 @pytest.mark.slow
 def test_what_is_specific_to_a_recording_may_be_far_from_its_prior(robot: Robot) -> None:
-    """Two recordings whose zeros are five prior deviations away: the model lacks nothing."""
+    """Two recordings whose zeros are six prior deviations away: the model lacks nothing."""
     study = prepared(pendulum(*QUICK, "+identification.sensors={pos2: {zero: 0.01}}"))
     recordings = {}
-    for (name, rollout), zero in zip(robot[1].items(), (0.05, -0.05), strict=True):
+    for (name, rollout), zero in zip(robot[1].items(), (0.06, -0.06), strict=True):
         states = rollout.states + np.array([0.0, zero, 0.0, 0.0])
         recordings[name] = (replace(rollout, states=states, measured=states),)
     found = assess(study, recordings)
