@@ -69,11 +69,12 @@ class MeasurementNoise:
         return flat @ flat.T / w + np.diag(np.tile(self.means, d // n))
 
     def excess(self, scores: Array, weights: Array, linearisation: Linearisation, spread: Array) -> Array:
-        """A root (p, p) of what the covariance of a sum of scores exceeds that for average windows by.
+        """A root (p, p) of the part of a gradient's covariance that average windows do not explain.
 
-        The sum is over windows of scores (p, w, d) times errors, whose weights are (w,). Noise at the start
-        has more effect in some windows than in others; where these have large scores, too, the average is
-        too small. Only directions with an excess count, in coordinates with the covariance's root `spread`.
+        The gradient is the sum over windows of scores (p, w, d) times errors with weights (w,). Noise at the
+        start has more effect in some windows than in others. If these also have larger scores, the average
+        effect is too small. Directions in which it is too large are ignored. A root `spread` (p, p) of the
+        parameters' covariance sets the coordinates of these directions.
         """
         white = np.einsum("qp,qwd->pwd", spread, scores)
         F = linearisation.by_start * np.sqrt(self.starts * weights[:, None])[:, None, :]

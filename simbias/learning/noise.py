@@ -17,9 +17,9 @@ WIDTHS = 12  # candidate numbers of frames
 OUTLIER = 4.0  # deviations of noise
 EVEN = 2.0  # ratio of long to short sampling intervals; an encoder's steps differ more
 MOST_BENT = 0.85  # share of frames at which an interpolated line bends; above, each frame may be a sample
-OFTEN = 0.75  # quantile of an input's changes: a rare step does not count
-LARGER = 2.0  # ratio of these changes in a frame to the mean over frames: the input jumps there
 MOSTLY = 0.9  # of the samples: share that bends the line to one side only
+OFTEN = 0.75  # quantile of an input's changes, over windows: a rare step does not count
+LARGER = 2.0  # ratio of this quantile at a frame of windows to its mean over frames: there the input jumps
 
 
 def noise_of(rollouts: Sequence[Rollout]) -> Array:

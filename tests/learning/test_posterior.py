@@ -160,8 +160,8 @@ def test_noise_of_a_robot_that_is_very_unstable_is_found() -> None:
         covariance = noise_found.covariance(linearisation)
         assert np.isfinite(covariance).all()
         assert 0.4 < covariance[-1, -1] / np.mean(errors[:, -1] ** 2) < 2.5
-    given = F, errors[:, :, None], np.array([1e-6, 2e-6]), np.linspace(1e-4, 2e-4, 8)
-    for ours, theirs in zip(_moments(*given), _moments_of_directions(*given), strict=True):
+    moments_of = F, errors[:, :, None], np.array([1e-6, 2e-6]), np.linspace(1e-4, 2e-4, 8)
+    for ours, theirs in zip(_moments(*moments_of), _moments_of_directions(*moments_of), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-9)
 
 
