@@ -196,6 +196,15 @@ def _policy_imitates(study: Study) -> None:
         expect(np.isfinite(theta).all(), "policy.imitating", "finite numbers", theta)
 
 
+@check("policy", "directions of a search near a policy")
+def _policy_directions(study: Study) -> None:
+    for theta in policies(study)[:CORNERS]:
+        made, p = np.asarray(study.policy.directions(theta)), len(theta)
+        expect(made.ndim == 2 and made.shape[1] == p, "policy.directions", f"shape (d, {p})", made.shape)
+        expect(np.isfinite(made).all(), "policy.directions", "finite numbers", made)
+        expect(made.any(axis=1).all(), "policy.directions", "no row of zeros", made)
+
+
 @check("hardware", "an experiment as the contract says (one is run, from a drawn start)")
 def _hardware_runs(study: Study) -> None:
     task, rng = study.task, np.random.default_rng(6)

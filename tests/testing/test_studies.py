@@ -142,6 +142,17 @@ class Mixes(Spring):
         return super().act(theta, x, t, policy_state)[0], 0.0 * policy_state + shared + x[..., :1]
 
 
+class Directed(Spring):
+    """Has one direction, the same for any policy."""
+
+    def __init__(self, task: Any, *direction: float) -> None:
+        super().__init__(task)
+        self._direction = direction
+
+    def directions(self, theta: Array) -> Array:
+        return np.array([self._direction])
+
+
 class Fits(Identification):
     def __init__(self, fit: Callable[[Any, Sequence[Rollout]], Any]) -> None:
         self._fit = fit
@@ -271,6 +282,9 @@ BROKEN: list[tuple[str, Callable[[Any], Any], str]] = [
     ("policy", Unlimited, "Unlimited.act: expected inputs within [-5.] and [5.]"),
     ("policy", WindsUp, "WindsUp.act: expected inputs within [-5.] and [5.], got [["),
     ("policy", Mixes, "Mixes.act: expected for several points what it gives for each"),
+    ("policy", lambda task: Directed(task, 1.0), "Directed.directions: expected shape (d, 3), got (1, 1)"),
+    ("policy", lambda task: Directed(task, 1.0, np.inf, 0.0), "Directed.directions: expected finite numbers"),
+    ("policy", lambda task: Directed(task, 0.0, 0.0, 0.0), "Directed.directions: expected no row of zeros"),
     ("nominal", Parametrised, "Parametrised.with_parameters: expected the model itself"),
     ("nominal", Elsewhere, "Elsewhere.with_parameters: expected parameters of values [2.01"),
     ("nominal", Multiplies, "Multiplies.with_parameters: expected the same model of the same values again"),
