@@ -19,6 +19,7 @@ from simbias.core.commands import BAD_INPUT, FAILED, INTERRUPTED, SUCCEEDED, pyt
 from simbias.core.interruption import Interruption
 from simbias.core.messages import words
 from simbias.terminal.arguments import RUN, parse
+from simbias.terminal.lines import warnings_in_one_line
 
 if TYPE_CHECKING:
     from simbias.mlflow.tracking import Mlflow
@@ -35,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
     try:
         parsed = parse(arguments, __version__)
-        with Interruption():
+        with Interruption(), warnings_in_one_line():
             status = (_show_config if parsed.cfg else COMMANDS[parsed.command])(parsed)
         sys.stdout.flush()
         return status

@@ -40,7 +40,8 @@ def check_allowed(module: str, key: str, allowed: Sequence[str]) -> None:
         raise ConfigError(
             key,
             f"{quote(module)} is not imported: it is neither simbias's nor beside a folder of configs. "
-            f"Name that folder by --config-dir or, if you trust the module, add --allow {top}",
+            f"Name that folder by --config-dir or, if you trust the module, add --allow {top} (in Python, "
+            f"config_dir=..., or allow=[{top!r}])",
         )
 
 

@@ -128,7 +128,7 @@ class Evaluations:
         SearchEnded
             If evaluations, steps or seconds are used up, or the last improvement was within the tolerance.
         ValueError
-            If the cost is not finite.
+            If the cost is not finite, or an entry of the point is nan.
         """
         self.check_budget()
         inside = self.inside(point)
@@ -171,8 +171,11 @@ class Evaluations:
         return costs
 
     def inside(self, point: Array) -> Array:
-        """The point of the box nearest to the point (p,), as a new array; faster than np.clip."""
-        return np.minimum(np.maximum(point, self.lower), self.upper)
+        """The point of the box nearest to the point (p,), as a new array; ValueError if an entry is nan."""
+        nearest = np.minimum(np.maximum(point, self.lower), self.upper)  # faster than np.clip
+        if np.isnan(nearest).any():
+            raise ValueError(f"the search proposes the point {np.asarray(point).tolist()}")
+        return nearest
 
     def check_budget(self) -> None:
         """Raise SearchEnded if something has been evaluated and the budget is used up."""
@@ -215,14 +218,17 @@ class Evaluations:
         self._relative_tolerance = tolerance
 
     def run(self, search: Callable[[Self], str]) -> str:
-        """Run a search on these evaluations; return why it ended, in words."""
+        """Run a search on these evaluations; return why it ended. ValueError if it gives no words."""
         if self._ends_at_target and self.below_target:
             return TARGET
         try:
             self.check_budget()
-            return search(self)
+            ended = search(self)
         except SearchEnded as end:
             return str(end)
+        if not isinstance(ended, str):
+            raise ValueError(f"search: expected why it ended, in words, got {ended!r}")
+        return ended
 
     def explored(self, search: Callable[[Self], str], limit: int) -> Array:
         """The best point (p,) of a search from scratch that uses at most `limit` of these evaluations.

@@ -68,10 +68,12 @@ class Cost(ABC):
         """Z of a rollout: finite. A frame that ends in a non-finite state fails; nan terms are left out."""
         t = self.time_step * np.arange(1, rollout.frames + 1)
         with np.errstate(over="ignore", invalid="ignore"):  # a simulated state may overflow
-            terms = self.terms(rollout.states[1:], rollout.inputs, t)
+            terms = np.moveaxis(self.terms(rollout.states[1:], rollout.inputs, t), -1, 0)
+            if len(terms) != len(self.reductions):
+                raise ValueError(f"{len(self.reductions)} reductions need as many terms, got {len(terms)}")
             totals = [
                 np.nansum(term) if reduction == "sum" else np.fmax.reduce(term, initial=0.0)
-                for reduction, term in zip(self.reductions, np.moveaxis(terms, -1, 0), strict=True)
+                for reduction, term in zip(self.reductions, terms, strict=True)
             ]
         lost = 0 if rollout.failed_at is None else self.horizon - rollout.failed_at
         return float(self.of_totals(np.array(totals), np.array(lost)))

@@ -148,7 +148,7 @@ def hold(rollout: Rollout, task: Task, bounds: Bounds, source: str) -> Rollout:
     inputs = rollout.inputs[max(frame - 1, 0) : frame + 1]
     *_, failure = map(monitor.of_input, inputs)
     raise HardwareError(
-        f"{source}: inputs: expected them within the limits of the experiment (hardware.safety), "
+        f"{source}: inputs: expected them within the limits of the task and of hardware.safety, "
         f"got {failure} in frame {frame}: {inputs.tolist()}"
     )
 

@@ -11,11 +11,9 @@ from simbias.config.build import build
 from simbias.config.hydra_config import overridden
 from simbias.core.messages import counted
 from simbias.terminal.lines import place_of_trace, say, standard_output
-from simbias.terminal.notices import warnings_in_one_line
 from simbias.testing.conformance import CHECKS, ConformanceError, verdicts
 
 
-@warnings_in_one_line()
 def check(overrides: Sequence[str], config_dir: str | None, allow: Sequence[str] = ()) -> bool:
     """Check the groups named by the overrides, or all except the hardware; print each result.
 

@@ -18,7 +18,6 @@ from simbias.recordings.files import trajectory
 from simbias.recordings.recovery import Take, recover
 from simbias.terminal.identify import Request, table
 from simbias.terminal.lines import progress, say, standard_output
-from simbias.terminal.notices import warnings_in_one_line
 from simbias.trial.study import Study
 
 SECONDS, TRAJECTORIES = 5.0, 200
@@ -46,7 +45,7 @@ def excite(request: Request, seconds: float, file: Path) -> None:
             raise IsADirectoryError("it is a folder")
     study, given, _ = request.opened(console)
     learned = given.pieces
-    with warnings_in_one_line(), progress(console) as tell_of:
+    with progress(console) as tell_of:
         tell_of(LOOKING)
         posterior = study.identification
         assert isinstance(posterior, Posterior)
@@ -94,7 +93,7 @@ def recovery(request: Request) -> bool:
     study, recordings, _ = request.opened(console, again=True)
     if request.recordings and not recordings.rollouts:
         raise ConfigError("--held-out", "holds out every recording")
-    with warnings_in_one_line(), progress(console) as tell_of:
+    with progress(console) as tell_of:
         takes = [
             Take(piece.states[0], piece.inputs, times, name, piece.continues)
             for name, pieces in recordings.rollouts.items()

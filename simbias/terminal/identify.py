@@ -23,7 +23,7 @@ from simbias.recordings.excitation import Designer, Excitation
 from simbias.recordings.files import GROUP, OPTION, check_replaces_nothing, write
 from simbias.recordings.reading import Recordings, learned_files, read_apart
 from simbias.terminal.lines import progress, say, standard_output
-from simbias.terminal.notices import preparing, warnings_in_one_line
+from simbias.terminal.notices import preparing
 from simbias.trial.study import Study
 
 SECONDS, TRAJECTORIES = 5.0, 40  # of the next excitation
@@ -105,22 +105,21 @@ def identify(request: Request, attach: bool = False) -> bool:
     attached trial that has no recordings.
     """
     console = standard_output()
-    with warnings_in_one_line():
-        study, recordings, held_out = request.opened(console, LONGEST, attach)
-        if attach and isinstance(study.hardware, Recorded) and not study.hardware.source_files:
-            problem = "has no recording to start a trial with (--attach); choose another hardware"
-            raise ConfigError("hardware.folder", problem)
-        check_replaces_nothing(study, request.folder, request.option)
-        with progress(console) as tell_of:
-            assessment = assess(
-                study,
-                recordings.rollouts,
-                held_out.rollouts,
-                lambda each: tell_of(f"fitting {each}"),
-                recordings.doubt,
-            )
-            tell_of("searching for what to record next")
-            excitation = next_excitation(study, assessment)
+    study, recordings, held_out = request.opened(console, LONGEST, attach)
+    if attach and isinstance(study.hardware, Recorded) and not study.hardware.source_files:
+        problem = "has no recording to start a trial with (--attach); choose another hardware"
+        raise ConfigError("hardware.folder", problem)
+    check_replaces_nothing(study, request.folder, request.option)
+    with progress(console) as tell_of:
+        assessment = assess(
+            study,
+            recordings.rollouts,
+            held_out.rollouts,
+            lambda each: tell_of(f"fitting {each}"),
+            recordings.doubt,
+        )
+        tell_of("searching for what to record next")
+        excitation = next_excitation(study, assessment)
     notes = (*recordings.notes, *held_out.notes)
     try:
         write(assessment, excitation, study.config[GROUP], request.folder, request.option, notes)

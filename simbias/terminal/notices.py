@@ -1,16 +1,12 @@
-"""Notices on stderr: about compilation, and warnings."""
+"""A notice on stderr about compilation."""
 
 from __future__ import annotations
 
 import sys
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
 from numba.core.event import Event, Listener, install_listener
-
-from simbias.core import StudyWarning
 
 COMPILING = "Compiling the simulation for this machine; later runs load it from the cache ..."
 
@@ -35,23 +31,4 @@ class _Announcer(Listener):
 def preparing() -> Iterator[None]:
     """Report if something is compiled within the context, not loaded from the cache."""
     with install_listener("numba:compile", _Announcer()):
-        yield
-
-
-@contextmanager
-def warnings_in_one_line() -> Iterator[None]:
-    """Show each StudyWarning once, as one line, without its place in the code."""
-    shown_otherwise = warnings.showwarning
-    shown: set[str] = set()
-
-    def show(message: Warning | str, *place: Any, **otherwise: Any) -> None:
-        if not isinstance(message, StudyWarning):
-            shown_otherwise(message, *place, **otherwise)
-        elif str(message) not in shown:
-            print(f"simbias: {message}", file=sys.stderr)
-            shown.add(str(message))
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("always", StudyWarning)
-        warnings.showwarning = show
         yield

@@ -19,7 +19,7 @@ from simbias.pictures.elements.style import save
 from simbias.pictures.preview import predicted
 from simbias.pictures.preview import preview as picture
 from simbias.terminal.lines import say, standard_output
-from simbias.terminal.notices import preparing, warnings_in_one_line
+from simbias.terminal.notices import preparing
 from simbias.testing.rehearsal import rehearse
 from simbias.trial.prediction import DRAWS, Prediction, predict
 from simbias.trial.study import Study
@@ -36,12 +36,11 @@ def preview(overrides: Sequence[str], config_dir: str | None, allow: Sequence[st
     Errors as for `simbias.load` and `rehearse`; also ConfigError if the picture cannot be written.
     """
     console = standard_output()
-    with warnings_in_one_line():
-        with preparing():
-            study = build(compose(overrides, config_dir, allow))
-            rehearse(study)
-        say(console, "Searching for the trial's first policy; no experiment is run ...")
-        prediction = first_prediction(study)
+    with preparing():
+        study = build(compose(overrides, config_dir, allow))
+        rehearse(study)
+    say(console, "Searching for the trial's first policy; no experiment is run ...")
+    prediction = first_prediction(study)
     bounds = study.conditions.safety.bounds(study.task)
     for line in describe(study, prediction, bounds):
         say(console, line)

@@ -34,7 +34,7 @@ from simbias.sweep.tables import BLANK, Layout, arrange, cells, layout, legend, 
 from simbias.sweep.tracking import Tracking
 from simbias.sweep.worker import Result
 from simbias.terminal.lines import place_of_trace, say, standard_output
-from simbias.terminal.notices import preparing, warnings_in_one_line
+from simbias.terminal.notices import preparing
 from simbias.terminal.trial import traceback_file
 from simbias.trial.folder import TrialFolder
 from simbias.trial.summary import Outcome
@@ -46,7 +46,7 @@ def run(variations: Variations, composition: Composition, again: str) -> int:
     """Run a sweep's missing trials, or list them (dry run); `again` is the command that runs them."""
     trials_engine: Engine = service(composition, "engine", Engine)
     store: Tracking = service(composition, "tracking", Tracking)
-    with preparing(), warnings_in_one_line():
+    with preparing():
         sweep, finished = running.prepare(store, variations, trials_engine)
     if sweep.dry_run:
         dry_run(sweep, finished, trials_engine)

@@ -25,7 +25,7 @@ from simbias.engine.workplace import tidy
 from simbias.lab.checked_hardware import ask
 from simbias.sweep.tracking import Export, Tracking
 from simbias.terminal.lines import say, standard_output, temporary_traceback
-from simbias.terminal.notices import preparing, warnings_in_one_line
+from simbias.terminal.notices import preparing
 from simbias.testing.rehearsal import rehearse
 from simbias.trial import continuation, diagnostics
 from simbias.trial.diagnostics import Remark
@@ -56,17 +56,16 @@ def run(
     service(composition, "engine", Engine)  # a single trial needs no engine, but an invalid one is bad input
     tidy()  # a finished trial creates no folder, which would do this
     store: Tracking = service(composition, "tracking", Tracking)
-    with warnings_in_one_line():
-        with preparing():
-            study = build(composition)
-            rehearse(study)
-            folder = store.trial_folder(study.hash)
-            if earlier and folder is None:
-                raise ConfigError(continuation.OPTION, "nothing would be kept with tracking=none")
-            if earlier and folder:
-                reading = partial(read_folder, config_dir=config_dir, allow=allow)
-                continuation.continue_trial(study, folder, earlier, reading)
-        return _run_study(study, folder, store, again)
+    with preparing():
+        study = build(composition)
+        rehearse(study)
+        folder = store.trial_folder(study.hash)
+        if earlier and folder is None:
+            raise ConfigError(continuation.OPTION, "nothing would be kept with tracking=none")
+        if earlier and folder:
+            reading = partial(read_folder, config_dir=config_dir, allow=allow)
+            continuation.continue_trial(study, folder, earlier, reading)
+    return _run_study(study, folder, store, again)
 
 
 def _run_study(study: Study, folder: Path | None, store: Tracking, again: str) -> int:

@@ -80,7 +80,7 @@ def inputs(study: Study) -> Array:
 
 def policies(study: Study) -> Array:
     """Policies (POINTS, p) in the box."""
-    lower, upper = study.policy.bounds
+    lower, upper = np.sort(study.policy.bounds, axis=0)  # an empty box is reported elsewhere
     return np.random.default_rng(2).uniform(lower, upper, (POINTS, len(lower)))
 
 

@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from simbias.core import Bias, Nominal
-from simbias.core.records import Array, Indices
+from simbias.core import Bias, FittedBias, Nominal
+from simbias.core.records import Array, Indices, Transitions
+from simbias.core.task_checks import varied_states
 from simbias.testing.expectations import (
     POINTS,
     check,
@@ -28,15 +29,22 @@ from simbias.trial.warm_up import SECONDS
 OFF = 1e-3  # of the state: error of a model with known residuals
 
 
+def _fit(study: Study, data: Transitions) -> FittedBias:
+    """The bias that is learned from data."""
+    fitted = study.bias.fit(data)
+    expect(isinstance(fitted, FittedBias), "fit", "a FittedBias", fitted)
+    return fitted
+
+
 @check("bias", "without data nothing is corrected")
 def _bias_without_data(study: Study) -> None:
-    fitted, x = study.bias.fit(study.no_data), robot_states(study)
+    fitted, x = _fit(study, study.no_data), robot_states(study)
     equal(fitted.correction(x, inputs(study)), 0.0 * x, "correction", "zeros")
 
 
 @check("bias", "predictions of data, with any leading axes")
 def _bias_predicts(study: Study) -> None:
-    fitted = study.bias.fit(transitions(study))
+    fitted = _fit(study, transitions(study))
     x, u = robot_states(study), inputs(study)
     points = np.concatenate([x, u], axis=1)
     mean, variance = fitted.predict(points)
@@ -45,7 +53,11 @@ def _bias_predicts(study: Study) -> None:
     expect((np.asarray(variance) >= 0).all(), "predict", "no negative variance", variance)
     expect(np.isfinite(mean).all(), "predict", "finite means", mean)
     expect_any_leading_axes(fitted.correction, "correction", x, u)
-    again = study.bias.fit(transitions(study)).predict(points)
+    learned = fitted.predict(transitions(study).inputs)[0]
+    data = np.split(transitions(study).inputs, [x.shape[1]], axis=1)
+    alike = np.sum(learned * fitted.correction(*data))
+    expect(alike >= 0, "correction", "the sign of what is predicted", "the opposite")
+    again = _fit(study, transitions(study)).predict(points)
     equal(again, (mean, variance), "fit", "the same from the same data", 0.0)
 
 
@@ -64,7 +76,7 @@ def _bias_learns(study: Study) -> None:
 
 @check("bias", "a bias is drawn from the generator alone")
 def _bias_draws(study: Study) -> None:
-    fitted, x, u = study.bias.fit(transitions(study)), robot_states(study), inputs(study)
+    fitted, x, u = _fit(study, transitions(study)), robot_states(study), inputs(study)
     one, same = (fitted.draw(np.random.default_rng(3)).correction(x, u) for _ in range(2))
     equal(one, same, "draw", "the same bias from the same generator", 0.0)
 
@@ -122,6 +134,23 @@ def _cost_is_finite(study: Study) -> None:
             return study.cost.terms(x, u, t[..., 0])
 
         expect_any_leading_axes(terms, "cost.terms", states(study), inputs(study), t)
+        _cost_has_terms(study)
+
+
+def _cost_has_terms(study: Study) -> None:
+    """Expect a number for each reduction, in states of all magnitudes that do not fail."""
+    x = varied_states(study.task)
+    x = x[study.task.violated(x) < 0]
+    u = np.resize(inputs(study), (len(x), len(study.task.inputs)))
+    shape = (len(x), len(study.cost.reductions))
+    t = study.cost.time_step * np.arange(1, len(x) + 1)
+    with np.errstate(all="ignore"):
+        terms = np.asarray(study.cost.terms(x, u, t))
+    expected = f"shape {shape} in {shape[0]} frames, for {shape[1]} reductions"
+    expect(terms.shape == shape, "cost.terms", expected, terms.shape)
+    wrong = np.isnan(terms).any(axis=1)
+    words = f"nan, which is left out, in {wrong.sum()} of {len(x)}, such as x = {x[wrong][:1].tolist()}"
+    expect(not wrong.any(), "cost.terms", "numbers in states that do not fail", words)
 
 
 @check("cost", "of many rollouts at once what it is of each", rehearsed=True)

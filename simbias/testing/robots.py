@@ -148,7 +148,10 @@ def _policy_bounds(study: Study) -> None:
 def _policy_acts(study: Study) -> None:
     policy, x, thetas, m = study.policy, states(study), policies(study), len(study.task.inputs)
     before = np.zeros((POINTS, policy.state_size))
-    u, after = policy.act(thetas, x, 0.0, before)
+    made = policy.act(thetas, x, 0.0, before)
+    both = isinstance(made, tuple) and len(made) == 2
+    expect(both, "policy.act", "inputs and the policy state", f"a {type(made).__name__} of {len(made)}")
+    u, after = made
     equal(np.shape(u), (POINTS, m), "policy.act", f"inputs of shape ({POINTS}, {m})")
     equal(np.shape(after), before.shape, "policy.act", f"a policy state of shape {before.shape}")
     expect(not np.isnan(u).any(), "policy.act", "numbers near the start", u)

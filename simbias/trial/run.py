@@ -46,6 +46,10 @@ class TrialRecord:
     withdrawn: tuple[Withdrawal, ...] = ()  # experiments that a person withdrew
     changed_code: str = ""  # the user's modules and files that changed since it began, if read from a folder
 
+    def __repr__(self) -> str:
+        """The trial in a line, e.g. in a notebook."""
+        return f"<trial {self.study.hash}: {self.outcome.verdict} after {self.summary.effort}>"
+
     @property
     def outcome(self) -> Outcome:
         """How the trial ended or stopped."""

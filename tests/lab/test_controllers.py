@@ -151,6 +151,23 @@ def test_after_what_is_no_number_it_stays_aborted(study: Study) -> None:
     np.testing.assert_array_equal(control.policy_state, before)
 
 
+@pytest.mark.parametrize("wrong", [[0.0] * 5, [0.0] * 7, [[0.0], [0.0, 0.0]], None, "x"], ids=str)
+def test_after_a_state_of_wrong_shape_it_stays_aborted(wrong: Any, study: Study) -> None:
+    control = controller(with_everything(study))
+    with pytest.raises(ValueError, match=r"reshape|shape|convert"):
+        control(wrong)
+    with pytest.raises(ValueError, match="abort: not_a_number"):
+        control(study.task.start_mean)
+
+
+def test_the_request_controller_aborts_without_a_limit_as_the_code_does(study: Study) -> None:
+    control = with_everything(study).controller()
+    control(study.task.start_mean)
+    for x in (np.full(6, np.nan), study.task.start_mean):
+        with pytest.raises(UnsafeError, match="unsafe_state_alpha_w"):
+            control(x)
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(COMPILER is None, reason="no C compiler")
 def test_the_header_compiles_without_a_warning_and_refuses_fast_mathematics(

@@ -1,6 +1,7 @@
 """What all optimizers share: a box, finite costs, candidates, an end; and that they look ahead."""
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import pytest
@@ -57,6 +58,28 @@ def test_costs_and_boxes_must_be_finite() -> None:
     for lower, upper in (([0], [0]), ([1], [0]), ([0], [np.inf]), ([0, 0], [1]), ([], [])):
         with pytest.raises(ValueError, match=r"lower|bounds"):
             Evaluations(lambda x: 0.0, np.array(lower), np.array(upper), budget)
+
+
+class Silent(Optimizer):
+    """Proposes one point, and does not say why it ends."""
+
+    def __init__(self, point: Array) -> None:
+        self.point, self.max_evaluations, self.relative_tolerance = point, 30, 1e-9
+
+    def search(self, evaluations: Evaluations, rng: np.random.Generator) -> Any:
+        evaluations.evaluate(self.point)
+
+
+def test_a_point_without_numbers_is_refused_before_it_is_simulated() -> None:
+    objective = Sphere()
+    with pytest.raises(ValueError, match=r"the search proposes the point \[0.0, nan\]"):
+        Silent(np.array([0.0, np.nan])).minimize(objective, *BOX, np.random.default_rng(0))
+    assert not objective.points
+
+
+def test_a_search_has_to_say_why_it_ends() -> None:
+    with pytest.raises(ValueError, match="expected why it ended, in words, got None"):
+        Silent(TARGET).minimize(Sphere(), *BOX, np.random.default_rng(0))
 
 
 def test_candidates_come_first() -> None:

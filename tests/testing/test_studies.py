@@ -3,6 +3,7 @@
 import ctypes
 import re
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from copy import copy
 from dataclasses import replace
 from typing import Any
@@ -15,7 +16,8 @@ from pendulum import pendulum
 from point_mass import Distance, EveryFifth, Spring, WithoutWind
 
 import simbias
-from simbias.core import Bias, Cost, Evaluation, FittedBias, Identification, Model, Nominal, Policy
+from simbias.core import Bias, Cost, Evaluation, FittedBias, Identification, Model, Nominal, Optimizer, Policy
+from simbias.core.evaluations import SearchEnded
 from simbias.core.parameters import Parameter
 from simbias.core.records import Array, Rollout, Selection, Transitions
 from simbias.testing.conformance import verdicts
@@ -142,6 +144,37 @@ class Mixes(Spring):
         return super().act(theta, x, t, policy_state)[0], 0.0 * policy_state + shared + x[..., :1]
 
 
+class InputsOnly(Spring):
+    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> Any:
+        return super().act(theta, x, t, policy_state)[0]
+
+
+class Searches(Optimizer):
+    """Draws points from the box."""
+
+    def __init__(self, points: Callable[[Any, Any], Any]) -> None:
+        self._points, self.max_evaluations, self.relative_tolerance = points, 2000, 1e-3
+
+    def search(self, evaluations: Any, rng: np.random.Generator) -> str:
+        while True:
+            self._points(evaluations, rng)
+
+
+def without_seed(evaluations: Any, rng: Any) -> None:
+    evaluations.evaluate(np.random.default_rng().uniform(-1.0, 1.0, 2))
+
+
+def far_away(evaluations: Any, rng: Any) -> None:
+    evaluations.evaluate(rng.uniform(-1.0, 0.1, 2))
+
+
+def at_any_cost(evaluations: Any, rng: Any) -> None:
+    with suppress(Exception):
+        evaluations.evaluate(rng.uniform(-1.0, 1.0, 2))
+    if evaluations.remaining == 0:
+        raise SearchEnded("all spent")
+
+
 class Directed(Spring):
     """Has one direction, the same for any policy."""
 
@@ -228,6 +261,19 @@ class OneTerm(Jerk):
         return totals[0] + 100.0 * lost
 
 
+class Root(Jerk):
+    def terms(self, x_next: Array, u: Array, t: Any) -> Array:
+        return np.sqrt(x_next[..., :1])
+
+    def of_totals(self, totals: Array, lost: Any) -> Array:
+        return totals[..., 0] + 100.0 * lost
+
+
+class TwoTerms(Root):
+    def terms(self, x_next: Array, u: Array, t: Any) -> Array:
+        return np.square(x_next[..., :2])
+
+
 class DrawsAgain(Evaluation):
     def objective(self, model: Model, cost: Cost, rng: np.random.Generator) -> Any:
         return lambda theta: rng.random()
@@ -295,6 +341,14 @@ BROKEN: list[tuple[str, Callable[[Any], Any], str]] = [
     ("identification", lambda _: Fits(heavier), "Fits.fit: expected the nominal model to be left as it is"),
     ("identification", lambda _: Fits(roughly), "Fits.fit: expected the same model from the same rollouts"),
     ("identification", lambda _: Fits(smoothing), "Fits.fit: expected a result, got ValueError: assignment"),
+    ("policy", InputsOnly, "InputsOnly.act: expected inputs and the policy state, got a ndarray"),
+    ("optimizer", lambda _: Searches(without_seed), "Searches.search: expected the same points from the"),
+    ("optimizer", lambda _: Searches(far_away), "Searches.search: expected a point within 0.2"),
+    ("optimizer", lambda _: Searches(at_any_cost), "Searches.search: expected the objective's exception"),
+    ("bias", lambda _: Learner(lambda _: None), "Learner.fit: expected a FittedBias, got None"),
+    ("bias", lambda _: Learner(lambda _: Opposite(1.0, 0.0)), "Learner.correction: expected the sign of"),
+    ("cost", lambda _: Root(), "Root.terms: expected numbers in states that do not fail, got nan"),
+    ("cost", lambda _: TwoTerms(), "TwoTerms.of: expected a result, got ValueError: 1 reductions need as"),
     ("bias", lambda _: LearnsRoughly(), "LearnsRoughly.learn: expected the same from the same experiments"),
     ("samples", lambda _: Picks(lambda data: data.residuals + 1.0), "Picks.select: expected residuals x"),
     ("samples", lambda _: Picks(lambda data: np.roll(data.residuals, 1)), "Picks.select: expected residuals"),
@@ -333,6 +387,13 @@ class Adds(FittedBias):
 
     def correction(self, x: Array, u: Array) -> Array:
         return np.zeros((*x.shape[:-1], 1)) + self._added
+
+
+class Opposite(Adds):
+    """Takes away what it predicts."""
+
+    def correction(self, x: Array, u: Array) -> Array:
+        return -super().correction(x, u)
 
 
 def zeroes(data: Transitions) -> FittedBias:

@@ -46,7 +46,7 @@ typedef struct {{
 
 static inline void simbias_start(simbias_controller *controller)
 {{
-    static const simbias_controller start = {{0}};
+    static simbias_controller start; /* zero, as it is static */
     *controller = start;
 }}
 {functions}
@@ -125,7 +125,8 @@ class Controller:
         self.u, self.policy_state = np.zeros({m}), np.zeros({s})
 
     def __call__(self, x):
-        x = np.asarray(x, dtype=float)
+        before, self.failure = self.failure, self.failure or {no_number}  # also if an error is raised here
+        x = np.asarray(x, dtype=float).reshape({n})
         with np.errstate(all="ignore"):
             u, policy_state = law(x, self.frame * TIME_STEP, self.policy_state)
             safe = [
@@ -134,7 +135,7 @@ class Controller:
                 *zip(CHANGE_FAILURE, (np.abs(u - self.u) <= INPUT_CHANGE) | (self.frame == 0)),
                 ({no_number}, np.isfinite(policy_state).all()),
             ]
-        self.failure = self.failure or next((failure for failure, fine in safe if not fine), "")
+        self.failure = before or next((failure for failure, fine in safe if not fine), "")
         if self.failure:
             raise ValueError(f"abort: {{self.failure}}: x = {{x}}, u = {{u}}")
         self.frame, self.u, self.policy_state = self.frame + 1, u, policy_state

@@ -32,7 +32,7 @@ frame, {rows} in all, the first at the start. An input is what was commanded fro
 row it may be empty. Rows may be more frequent, but not rarer. If the robot failed, end the file with that
 row; if none of the limits above describes the failure, name it in that row's column `failure`. If the
 controller aborted, end the file with the row in which it did, and write there the name that it gives,
-{names}.
+{names}. If a sensor gave no number in that row, leave the row out, and write the name into the one before.
 Separate columns by commas, with decimal points in numbers; or by semicolons, with decimal commas or points.
 
 Start the same command again: it resumes with the file, or says in one line what is wrong with it.

@@ -42,8 +42,11 @@ class ExperimentRequest:
         return short_digest(json.dumps(said, sort_keys=True).encode())
 
     def controller(self) -> Controller:
-        """The controller that computes the input of each frame."""
-        return self.policy.controller(self.theta, self.task.time_step)
+        """The controller that computes the input of each frame, and raises UnsafeError beyond the limits."""
+        policy = self.policy
+        if not isinstance(policy, SafetyLimitedPolicy):  # also here, what is not a number aborts
+            policy = SafetyLimitedPolicy(policy, self.task, self.bounds)
+        return policy.controller(self.theta, self.task.time_step)
 
     @property
     def bounds(self) -> Bounds:
