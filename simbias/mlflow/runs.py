@@ -143,12 +143,13 @@ class Runs:
         return [*self._search(f"tags.hash = '{identity}'")]
 
     def orphaned(self, run: Run) -> bool:
-        """Whether a run's parent was deleted, perhaps also from the store (`mlflow gc`)."""
+        """Whether a run's sweep has dropped it, or was deleted, perhaps also from the store (`mlflow gc`)."""
         from mlflow.exceptions import MlflowException
 
         try:
-            parent = parent_of(run)
-            return bool(parent) and self.client.get_run(parent).info.lifecycle_stage == "deleted"
+            if not (parent := parent_of(run)):
+                return pages.REPETITION in run.data.tags
+            return self.client.get_run(parent).info.lifecycle_stage == "deleted"
         except MlflowException as error:
             if error.error_code != "RESOURCE_DOES_NOT_EXIST":
                 raise

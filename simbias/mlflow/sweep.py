@@ -104,9 +104,12 @@ class SweepRun(RunExport):
         tags = {**origin_tags(about), "hash": about["hash"], "sweep": about["name"]}
         run = found[-1] if found else runs.create(f"sweep {about['name']}", tags, start)
         self._known = runs.nested(run.info.run_id)
-        for identity, trial in about["trials"].items():
-            for each in self._known.get(identity, ()):
-                self._relabel(each, trial)
+        for identity, known in self._known.items():
+            for each in known:
+                if identity in about["trials"]:
+                    self._relabel(each, about["trials"][identity])
+                else:  # the sweep has dropped the trial
+                    self.runs.client.delete_tag(each.info.run_id, pages.PARENT)
         runs.client.set_experiment_tag(runs.experiment_id, *pages.trials_view(about, run.info.run_id))
         self.run_id = run.info.run_id
         return run
@@ -171,7 +174,7 @@ class SweepRun(RunExport):
 def _place(about: dict[str, Any]) -> dict[str, str]:
     """A trial's position in the sweep, as tags."""
     labels = {pages.AXIS + name: label for name, label in about["labels"].items()}
-    return {"repetition": str(about["repetition"]), **labels}
+    return {pages.REPETITION: str(about["repetition"]), **labels}
 
 
 def _metrics(state: dict[str, Any]) -> dict[str, float]:

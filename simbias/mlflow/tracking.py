@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Iterator
 from contextlib import suppress
@@ -17,7 +18,8 @@ from simbias.mlflow.trial import TrialExport
 from simbias.mlflow.ui import show
 from simbias.sweep.folder import SWEEP, SweepFolder, sweep_folders
 from simbias.sweep.tracking import Export, Tracking
-from simbias.trial.folder import TRIAL, TrialFolder
+from simbias.trial.folder import ATTEMPTS, TRIAL, TrialFolder
+from simbias.trial.step_files import check_steps
 
 
 class Mlflow(Tracking):
@@ -49,7 +51,7 @@ class Mlflow(Tracking):
         self._experiment = experiment
         self._trials = trials
         self.pictures = pictures
-        self.unshown = 0  # trials and sweeps that `export` could not export
+        self.unshown = 0  # trials and sweeps that `export` could not export, or found damaged
 
     @cached_property
     def folder(self) -> Path:  # type: ignore[override]
@@ -85,11 +87,11 @@ class Mlflow(Tracking):
         """Export a trial, a sweep or a folder of trials, by default the store's.
 
         Yield a line for each sweep, and one for other trials; a trial of a sweep is exported with the sweep.
-        Unreadable ones, and copies beside their trials, are reported and counted in `unshown`. ConfigError if
-        there are none, or the store cannot be used; what was exported before stays.
+        Unreadable and damaged ones, and copies beside their trials, are reported and counted in `unshown`.
+        ConfigError if there are none, or the store cannot be used; what was exported before stays.
         """
         folders, sweeps = _trials_and_sweeps(folder or self.folder)
-        in_sweeps: set[str] = set()
+        in_sweeps, every = set[str](), set(folders)
         with reaching(self._uri):
             for sweep in sweeps:
                 run = SweepRun(self._runs, sweep)
@@ -100,11 +102,13 @@ class Mlflow(Tracking):
                     continue
                 about = sweep.description()
                 in_sweeps |= about["trials"].keys()
+                every |= {sweep.trials / identity for identity in about["trials"]}
                 self.unshown += run.shown.count(False)
                 yield f"sweep {about['name']}: {sum(run.shown)} of {counted(len(about['trials']), 'trial')}"
             alone = [each for each in folders if each.name not in in_sweeps]
             exported = sum(readable(partial(self._write_alone, each)) for each in alone)
             self.unshown += len(alone) - exported
+            self.unshown += sum(_damaged(each) for each in sorted(every))
             if folders:
                 yield f"{counted(exported, 'trial')} in no sweep"
 
@@ -116,6 +120,16 @@ class Mlflow(Tracking):
         TrialExport(self._runs, folder).write()
 
 
+def _damaged(folder: Path) -> bool:
+    """Whether a trial's steps are damaged, although it may be shown; a line says what is."""
+    try:
+        check_steps(TrialFolder(folder))
+    except ConfigError as error:
+        logging.getLogger(__name__).warning("simbias: a trial is damaged: %s", error)
+        return True
+    return False
+
+
 def _trials_and_sweeps(folder: Path) -> tuple[list[Path], list[SweepFolder]]:
     """The folders of trials and sweeps that a folder is, or contains; ConfigError if there are none."""
     place = Path(os.path.abspath(folder))  # its name and parents are needed, also of "."
@@ -123,7 +137,7 @@ def _trials_and_sweeps(folder: Path) -> tuple[list[Path], list[SweepFolder]]:
         return [place], [each for each in sweep_folders(place.parent) if _records(each, place.name)]
     if (place / SWEEP).is_file():
         return [], [SweepFolder(place)]
-    trials = [file.parent for file in sorted(folder.glob(f"*/{TRIAL}"))]
+    trials = sorted({file.parent for name in (TRIAL, ATTEMPTS) for file in folder.glob(f"*/{name}")})
     if not trials:
         raise ConfigError(str(folder), "is not the folder of a trial, of a sweep or of trials")
     return trials, sweep_folders(folder)

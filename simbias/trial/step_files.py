@@ -7,8 +7,9 @@ from functools import cached_property
 from pathlib import Path
 
 from simbias.core.errors import ConfigError
-from simbias.trial.disk import PART, write_whole
-from simbias.trial.folder import TRIAL, TrialFolder, number, step_name
+from simbias.trial.disk import PART, loaded, read_json, write_whole
+from simbias.trial.files import load_rollout
+from simbias.trial.folder import SEARCH, TRIAL, TrialFolder, number, step_name
 
 CHANGED = "was emptied, moved or changed while the trial ran. Restore it; the same command resumes the trial"
 
@@ -63,6 +64,19 @@ class StepFiles:
         path = self.folder.path
         if self.writes and (self.folder.all_steps() != self._all or not (path / TRIAL).exists()):
             raise ConfigError(str(path), CHANGED)
+
+
+def check_steps(folder: TrialFolder) -> None:
+    """ConfigError if a step is missing, or a search or an experiment cannot be read; nothing is replayed."""
+    steps = folder.all_steps()
+    for index, step in enumerate(steps):
+        if number(step) != index:
+            raise missing(folder.path / f"{index:04d}_*")
+    for step in steps:
+        if step.suffix == ".npz":
+            loaded(step, load_rollout)
+        elif step.name.endswith(SEARCH):
+            read_json(step)
 
 
 def missing(path: Path) -> ConfigError:

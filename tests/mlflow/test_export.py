@@ -315,6 +315,25 @@ def test_a_folder_that_cannot_be_read_is_named_and_stops_no_other(
         export(uri(folder), folder / "none")
 
 
+def test_a_damaged_step_is_named_although_the_trial_is_shown(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    cut, short, gone = (TrialFolder(at(folder, seed)) for seed in (0, 1, 3))
+    experiment = next(step for step in cut.steps() if step.suffix == ".npz")
+    experiment.write_bytes(experiment.read_bytes()[:-30])
+    short.steps()[0].unlink()
+    (gone.path / TRIAL).unlink()
+    assert main(["export", f"tracking.uri={uri(folder)}"]) == 1
+    assert [*pages(uri(folder))] == ["0", "1", "2", "4"]
+    said = [each.getMessage() for each in caplog.records]
+    for words in (
+        rf"a trial is damaged: .*{cut.path.name}/{experiment.name}: cannot be read \(",
+        rf"a trial is damaged: .*{short.path.name}/0000_\*: is missing\. Put it back",
+        rf"{gone.path.name}: is not the folder of a trial \(it has no {TRIAL}\)",
+    ):
+        assert sum(bool(re.search(words, each)) for each in said) == 1
+
+
 def test_a_folder_of_a_trial_or_of_trials_is_exported(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(at(folder, 1))
     for places, seeds in (

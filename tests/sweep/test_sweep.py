@@ -503,6 +503,20 @@ def test_a_sweep_that_was_relabelled_is_shown_as_it_is_now_and_a_part_of_it_whol
 
 
 @pytest.mark.usefixtures("unpainted")
+def test_trials_that_a_sweep_drops_leave_it_and_return_as_they_were(folder: Path, store: str) -> None:
+    command = ["+sweep=smoke", *QUICK, NO_FIGURES, "engine=sequential", store]
+    one_cell = ["sweep.trials=3", "+sweep.axes={hardware.inertia_error: [0.0]}"]
+    found = list[set[str]]()
+    for axes in (["sweep.trials=2"], one_cell, ["sweep.trials=2"]):
+        assert main([*command, *axes]) == 0
+        _, nested = runs(folder)
+        found.append({run.info.run_id for run in nested})
+    first, other, last = found
+    assert first == last
+    assert (len(first), len(other), len(first & other)) == (4, 3, 2)
+
+
+@pytest.mark.usefixtures("unpainted")
 def test_each_folder_of_a_sweep_has_a_run_in_which_each_trial_counts_once(folder: Path, store: str) -> None:
     """Also if the run was deleted, even from the store, or a trial was made again."""
     command = ["+sweep=smoke", *QUICK, NO_FIGURES, "sweep.trials=1", "engine=sequential", store]

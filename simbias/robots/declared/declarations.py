@@ -116,6 +116,15 @@ def bounds_of(inputs: Mapping[str, Input]) -> tuple[Array, Array]:
     return lower, upper
 
 
+def check_units(group: str, conditions: Mapping[str, Failure], units: Mapping[str, str]) -> None:
+    """Refuse a condition on a quantity, or on its magnitude, in another unit: nothing is converted."""
+    for key, each in conditions.items():
+        value = each.value.replace(" ", "").removeprefix("abs(").removesuffix(")")
+        if each.unit and each.unit != units.get(value, each.unit):
+            said = f"{value} is in {units[value] or 'no unit'}, and bounds are not converted from {each.unit}"
+            raise ValueError(f"{group}.{key}: {said}")
+
+
 def criterion_of(name: str, failure: Failure, states: Collection[str]) -> Criterion:
     """The failure criterion; an upper limit on |state| is also a bound on that state."""
     limit = failure.above if failure.above is not None else -(failure.below or 0.0)

@@ -23,6 +23,7 @@ from simbias.robots.declared.declarations import (
     Output,
     Pulses,
     bounds_of,
+    check_units,
     criterion_of,
     measure_of,
     push_of,
@@ -169,6 +170,7 @@ class Declared(Task):
     def _set_failures(self, failure: dict[str, Failure]) -> None:
         """Set the failure criteria; refuse those that depend on targets, which a robot does not have."""
         names = tuple(each.name for each in self.states[: len(self.states) - len(self.targets)])
+        check_units("failure", failure, {each.name: each.unit for each in self.states})
         self.criteria = tuple(criterion_of(name, each, names) for name, each in failure.items())
         self._measure = self._measures("failure", failure, self._known["variables"])
         x = self.start_mean.copy()
@@ -249,6 +251,8 @@ class Declared(Task):
             raise ValueError(
                 f"hold is {hold:g} s, but an episode {self.horizon * self.time_step:g} s: none can succeed"
             )
+        units = {each.name: each.unit for each in self.states}
+        check_units("success", success, units | {f"{goal.name}_error": goal.unit for goal in self._goals})
         names = success_names(self._known["variables"], self._goals)
         measures = self._measures("success", success, names)
         self._success = Success(success, measures, self.frames(hold) + 1, hold)
