@@ -173,6 +173,12 @@ def test_a_plan_that_misses_the_goal_is_told_why() -> None:
     approaching = "; it was still approaching, so the horizon may be too short"
     more = "; a larger method.trajectories tries more plans"
     assert told(nearer) == limits + approaching + more
+    study = simbias.load(["preset=pendulum_swingup", *options])
+    missing = Rollout(nearer, np.zeros((T, 1)))
+    (remark,) = of_goal(missing, study.first_model(), planned=True, weighed=False)
+    assert remark.words.endswith(
+        "plans weigh errors and inputs by defaults, whatever this cost says; cost=tracking has weights"
+    )
     assert told(nearer, "task.goal={angle: pi/2, d_angle: 0}") == f"{limits}, and cannot hold the goal"
     assert told(nearer, spinning) == limits + more  # nothing leads there
     reached = nearer * 0.5 ** np.linspace(0.0, 20.0, T + 1)[:, None]

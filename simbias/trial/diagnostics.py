@@ -28,6 +28,9 @@ NEARER, EARLIER = 0.95, 0.9  # of the least shortfall in the first 90%: a last o
 ROUGH = 0.5  # of the residuals' root mean square: larger errors of a sparse posterior are reported
 STARTS = 20  # simulated for a policy if the task does not define success
 CHATTER = 0.1  # of an input's range: a larger mean change from frame to frame is reported
+DEFAULT_WEIGHTS = (
+    "; plans weigh errors and inputs by defaults, whatever this cost says; cost=tracking has weights"
+)
 
 _simulated: WeakKeyDictionary[Iteration, tuple[Remark, ...]] = WeakKeyDictionary()
 
@@ -72,8 +75,11 @@ def of_policy(
         )
 
 
-def of_goal(rollout: Rollout, model: Model, planned: bool = False) -> Iterator[Remark]:
-    """Why a rollout simulated on a model, perhaps planned, does not succeed, if its task defines success."""
+def of_goal(rollout: Rollout, model: Model, planned: bool = False, weighed: bool = True) -> Iterator[Remark]:
+    """Why a rollout simulated on a model does not succeed, if its task defines success.
+
+    It may be `planned`, with the weights of its study's cost if that has such (`weighed`).
+    """
     task = model.task
     if rollout.failure is not None:
         yield Remark(
@@ -88,7 +94,8 @@ def of_goal(rollout: Rollout, model: Model, planned: bool = False) -> Iterator[R
     yield Remark(
         "a policy does not reach the goal in simulation",
         f"this policy does not reach the goal in {seconds:g} s of simulation: {missed}; "
-        f"{_at_limits(rollout.inputs, model, planned)}{_beyond_reach(rollout.states, model, planned)}",
+        f"{_at_limits(rollout.inputs, model, planned)}{_beyond_reach(rollout.states, model, planned)}"
+        f"{DEFAULT_WEIGHTS * (planned and not weighed)}",
     )
 
 
@@ -191,7 +198,7 @@ def of_prediction(theta: Array, model: Model | None, study: Study) -> Iterator[R
     rollout = _simulated_on(model, theta, model.task.start_mean, study.cost)
     if model.task.says_success:
         planned = isinstance(model.policy, Trajectory) and study.method.trajectories > 0
-        yield from of_goal(rollout, model, planned)
+        yield from of_goal(rollout, model, planned, weighed=study.cost.goal_weights is not None)
     else:
         yield from of_starts(theta, model, study.cost)
     yield from of_model(theta, model, study.cost)

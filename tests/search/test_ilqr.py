@@ -239,6 +239,21 @@ def test_a_plan_leads_over_such_that_fail(tmp_path: Path) -> None:
     assert np.abs(error).max() < 0.05
 
 
+@pytest.mark.parametrize("limit", [1.0, 0.1, 0.03])
+def test_weak_motors_do_not_end_a_plan_early(limit: float) -> None:
+    """A hanging pendulum has to swing; the first steps, with much damping, hardly begin to."""
+    task = ["task.horizon=100", f"task.inputs.torque.limit={limit}", "task.hold=0.5"]
+    goal = ["task.goal={angle: '0.3*sin(2*t)'}", "cost=tracking", "~cost.error_weights.velocity"]
+    policy = ["policy=trajectory", "~policy.units", "policy.bound=1000", "policy.knots=51"]
+    others = ["identification=none", "method=trajectory", "policy.observer=none"]
+    study = simbias.load(["preset=pendulum_swingup", "tracking=none", *task, *goal, *policy, *others])
+    plan, patient = (
+        Shooting(study.first_model(), study.cost.goal_weights, patient=longer) for longer in (False, True)
+    )
+    rest, cost, least = plan._rest().cost, plan.plan(None).cost, patient.plan(None).cost
+    assert rest - cost > 0.9 * (rest - least) > 0.0
+
+
 @pytest.mark.slow
 def test_a_plan_keeps_within_limits_of_failure() -> None:
     """A cart follows a reference whatever its pole does, which the cost leaves free but may not fall."""

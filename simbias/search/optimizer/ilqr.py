@@ -173,7 +173,7 @@ class Shooting:
 
     def _descended(self, best: Plan, damping: float, patience: int) -> Plan:
         """The trajectory found by steps of decreasing cost; the first step has this damping."""
-        costs = list[float]()
+        costs, begun = list[float](), damping <= 1.0
         most = PATIENT_ITERATIONS if self._patient else ITERATIONS
         progress = PATIENT_PROGRESS if self._patient else PROGRESS
         while damping < MOST and len(costs) < most:
@@ -182,7 +182,9 @@ class Shooting:
             if better is None:
                 continue
             best, costs = better, [*costs, better.cost]
-            if len(costs) > patience and costs[-1] > (1 - progress) * costs[-1 - patience]:
+            begun = begun or damping <= 1.0  # with more, steps are short, and save little
+            slow = len(costs) > patience and costs[-1] > (1 - progress) * costs[-1 - patience]
+            if begun and slow:
                 break
         return best
 
