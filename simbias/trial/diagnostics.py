@@ -65,7 +65,7 @@ def of_policy(
         yield Remark(
             "all simulated policies cost the same",
             f"all {optimum.evaluations} simulated policies cost the same ({optimum.cost:g}), so this one is "
-            "arbitrary; does every simulation fail immediately, or start at rest in an equilibrium?",
+            "arbitrary; does every simulation fail immediately, or start at rest, where none of them acts?",
         )
     if same := iterations_with(theta, model, earlier):
         yield Remark(
