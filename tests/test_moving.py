@@ -177,7 +177,7 @@ def test_a_plan_that_misses_the_goal_is_told_why() -> None:
     missing = Rollout(nearer, np.zeros((T, 1)))
     (remark,) = of_goal(missing, study.first_model(), planned=True, weighed=False)
     assert remark.words.endswith(
-        "plans weigh errors and inputs by defaults, whatever this cost says; cost=tracking has weights"
+        "the plan has default weights, as this cost gives none: set them with cost=tracking"
     )
     assert told(nearer, "task.goal={angle: pi/2, d_angle: 0}") == f"{limits}, and cannot hold the goal"
     assert told(nearer, spinning) == limits + more  # nothing leads there

@@ -174,7 +174,7 @@ class Evaluations:
         """The point of the box nearest to the point (p,), as a new array; ValueError if an entry is nan."""
         nearest = np.minimum(np.maximum(point, self.lower), self.upper)  # faster than np.clip
         if np.isnan(nearest).any():
-            raise ValueError(f"the search proposes the point {np.asarray(point).tolist()}")
+            raise ValueError(f"the search proposes a point with nan: {np.asarray(point).tolist()}")
         return nearest
 
     def check_budget(self) -> None:
@@ -227,7 +227,7 @@ class Evaluations:
         except SearchEnded as end:
             return str(end)
         if not isinstance(ended, str):
-            raise ValueError(f"search: expected why it ended, in words, got {ended!r}")
+            raise ValueError(f"search returned {ended!r}; it has to say why it ended, such as 'converged'")
         return ended
 
     def explored(self, search: Callable[[Self], str], limit: int) -> Array:

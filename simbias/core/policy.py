@@ -49,7 +49,7 @@ class Policy(ABC):
         return self
 
     def directions(self, theta: Array) -> Array:
-        """Directions (d, p) of a search near the policy theta (p,), from -1 to 1 of each.
+        """Directions (d, p), none of them zero, of a search near the policy theta (p,), from -1 to 1 of each.
 
         By default there are none, for any theta, and the box is searched.
         """

@@ -54,7 +54,10 @@ class Cost(ABC):
     goal_weights: GoalWeights | None = None  # if it is quadratic about the goal, up to a factor
 
     def terms(self, x_next: Array, u: Array, t: Any) -> Array:
-        """Terms (..., s) of frames that end in x_next (..., n) at the time t (...) in s, under u (..., m)."""
+        """Terms (..., s) of frames that end in x_next (..., n) at the time t (...) in s, under u (..., m).
+
+        They are numbers wherever the task does not fail.
+        """
         raise NotImplementedError(f"{type(self).__name__} has neither `terms` nor its own `of`")
 
     def of_totals(self, totals: Array, lost: Indices) -> Array:
@@ -69,8 +72,8 @@ class Cost(ABC):
         t = self.time_step * np.arange(1, rollout.frames + 1)
         with np.errstate(over="ignore", invalid="ignore"):  # a simulated state may overflow
             terms = np.moveaxis(self.terms(rollout.states[1:], rollout.inputs, t), -1, 0)
-            if len(terms) != len(self.reductions):
-                raise ValueError(f"{len(self.reductions)} reductions need as many terms, got {len(terms)}")
+            if terms.shape != (shape := (len(self.reductions), rollout.frames)):
+                raise ValueError(f"terms: expected shape {shape[::-1]}, got {terms.shape[::-1]}")
             totals = [
                 np.nansum(term) if reduction == "sum" else np.fmax.reduce(term, initial=0.0)
                 for reduction, term in zip(self.reductions, terms, strict=True)

@@ -227,11 +227,12 @@ class _SafetyLimitedController(Controller):
 
     def __init__(self, controller: Controller, task: Task, bounds: Bounds, time_step: float) -> None:
         self._controller = controller
-        self._m = len(task.inputs)
+        self._n, self._m, self._horizon = len(bounds.states), len(task.inputs), task.horizon
         self._monitor = _Monitor(task, bounds, time_step)
         self._states: list[Array] = []
         self._inputs: list[Array] = []
         self.failure = ""  # name of the limit that ended the experiment
+        self._misused = False  # whether it was called with anything but a state
 
     def __call__(self, x: Array) -> Array:
         """Input u (m,) at the (measured) state x (n,) of the next frame.
@@ -240,11 +241,18 @@ class _SafetyLimitedController(Controller):
         ------
         UnsafeError
             If state or input exceeds its limits, the policy's own state is not finite, or any of this
-            occurred before.
+            or a ValueError occurred before.
+        ValueError
+            If the state has another shape, or is not of numbers.
         """
+        if self._misused:
+            raise UnsafeError(NOT_A_NUMBER)
         if not self.failure:
-            x = np.array(x, dtype=np.float64)
-            self._states.append(x)
+            self._misused = True  # if the next line raises
+            x = np.array(x, dtype=np.float64).reshape(self._n)
+            self._misused = False
+            if len(self._states) <= self._horizon:  # a controller may run for longer than an experiment
+                self._states.append(x)
             self.failure = self._monitor.of_state(x)
         if not self.failure:
             u = self._controller(x)
@@ -252,9 +260,15 @@ class _SafetyLimitedController(Controller):
             if not (self.failure or np.isfinite(self._controller.policy_state).all()):
                 self.failure = NOT_A_NUMBER
             if not self.failure:
-                self._inputs.append(np.array(u, dtype=np.float64))
+                if len(self._inputs) < self._horizon:
+                    self._inputs.append(np.array(u, dtype=np.float64))
                 return u
         raise UnsafeError(self.failure)
+
+    @property
+    def policy_state(self) -> Array:  # type: ignore[override]
+        """The policy state (s,) of the next frame."""
+        return self._controller.policy_state
 
     def record(self) -> Rollout:
         """The measured states and the inputs up to the unsafe frame."""

@@ -13,7 +13,7 @@ NOTE = "mlflow.note.content"  # MLflow's tag for a run's description
 RUN_NAME = "mlflow.runName"  # MLflow's tag for a run's name
 PARENT = "mlflow.parentRunId"  # MLflow's tag that nests runs
 AXIS = "axis."  # prefix of the tags with a trial's position on the sweep's axes
-REPETITION = "repetition"  # tag of a sweep's trial, also after the sweep has dropped it
+DROPPED = "dropped"  # tag of a trial that its sweep has dropped: the sweep's hash
 EXPERIMENTS, OUTCOME = "metrics.`trial/experiments`", "tags.`outcome`"
 
 

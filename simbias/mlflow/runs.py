@@ -148,12 +148,19 @@ class Runs:
 
         try:
             if not (parent := parent_of(run)):
-                return pages.REPETITION in run.data.tags
+                return pages.DROPPED in run.data.tags
             return self.client.get_run(parent).info.lifecycle_stage == "deleted"
         except MlflowException as error:
             if error.error_code != "RESOURCE_DOES_NOT_EXIST":
                 raise
             return True
+
+    def free(self, run: Run) -> bool:
+        """Forget that a sweep has dropped the run; whether one had."""
+        dropped = pages.DROPPED in run.data.tags
+        if dropped:
+            self.client.delete_tag(run.info.run_id, pages.DROPPED)
+        return dropped
 
     def writing(self, folder: Path) -> AbstractContextManager[None]:
         """A lock for writing a folder's run, against all processes that may write to the folder.

@@ -108,8 +108,8 @@ class SweepRun(RunExport):
             for each in known:
                 if identity in about["trials"]:
                     self._relabel(each, about["trials"][identity])
-                else:  # the sweep has dropped the trial
-                    self.runs.client.delete_tag(each.info.run_id, pages.PARENT)
+                else:
+                    self._drop(each)
         runs.client.set_experiment_tag(runs.experiment_id, *pages.trials_view(about, run.info.run_id))
         self.run_id = run.info.run_id
         return run
@@ -119,6 +119,15 @@ class SweepRun(RunExport):
         for key, value in {RUN_NAME: about["name"], **_place(about)}.items():
             if run.data.tags.get(key) != value:
                 self.runs.client.set_tag(run.info.run_id, key, value)
+
+    def _drop(self, run: Run) -> None:
+        """Take the run of a trial that the sweep has dropped out of it; it may return."""
+        client, run_id = self.runs.client, run.info.run_id
+        client.set_tag(run_id, pages.DROPPED, self._description["hash"])
+        client.set_tag(run_id, RUN_NAME, f"dropped by {self._description['name']}: {run.info.run_name}")
+        for key in run.data.tags:
+            if key in (pages.PARENT, "repetition") or key.startswith(pages.AXIS):
+                client.delete_tag(run_id, key)
 
     def _write_ended(self, folder: TrialFolder) -> None:
         """Write a trial that has just ended; the store may have been unreachable until then."""
@@ -174,7 +183,7 @@ class SweepRun(RunExport):
 def _place(about: dict[str, Any]) -> dict[str, str]:
     """A trial's position in the sweep, as tags."""
     labels = {pages.AXIS + name: label for name, label in about["labels"].items()}
-    return {pages.REPETITION: str(about["repetition"]), **labels}
+    return {"repetition": str(about["repetition"]), **labels}
 
 
 def _metrics(state: dict[str, Any]) -> dict[str, float]:

@@ -94,11 +94,14 @@ class TrialExport(RunExport):
         every = runs.find(identity)
         found = [run for run in every if parent_of(run) == (nested.parent if nested else "")]
         if run := _begun(found, courses[-1]):
+            if not nested and runs.free(run):
+                runs.client.set_tag(run.info.run_id, RUN_NAME, notes.run_name(description))
             return run
         begun = [run for run in every if run.info.start_time == courses[-1]]
         if nested and (run := next(filter(runs.orphaned, begun), None)):
             for key, value in {PARENT: nested.parent, RUN_NAME: nested.name, **nested.tags}.items():
                 runs.client.set_tag(run.info.run_id, key, value)
+            runs.free(run)
             return run
         new = runs.create(nested.name if nested else notes.run_name(description), tags, courses[-1])
         for run in found:

@@ -8,7 +8,7 @@ import numpy as np
 
 from simbias.core import Bias, FittedBias, Nominal
 from simbias.core.records import Array, Indices, Transitions
-from simbias.core.task_checks import varied_states
+from simbias.core.task_checks import drawn_starts, varied_states
 from simbias.testing.expectations import (
     POINTS,
     check,
@@ -26,6 +26,7 @@ from simbias.testing.expectations import (
 from simbias.trial.study import Study
 from simbias.trial.warm_up import SECONDS
 
+FAR = 10.0  # from drawn starts: largest change of a state for which a cost is tested
 OFF = 1e-3  # of the state: error of a model with known residuals
 
 
@@ -55,7 +56,9 @@ def _bias_predicts(study: Study) -> None:
     expect_any_leading_axes(fitted.correction, "correction", x, u)
     learned = fitted.predict(transitions(study).inputs)[0]
     data = np.split(transitions(study).inputs, [x.shape[1]], axis=1)
-    alike = np.sum(learned * fitted.correction(*data))
+    correction = np.asarray(fitted.correction(*data))
+    expect(np.isfinite(correction).all(), "correction", "finite numbers", correction)
+    alike = np.sum(learned * correction)
     expect(alike >= 0, "correction", "the sign of what is predicted", "the opposite")
     again = _fit(study, transitions(study)).predict(points)
     equal(again, (mean, variance), "fit", "the same from the same data", 0.0)
@@ -138,8 +141,11 @@ def _cost_is_finite(study: Study) -> None:
 
 
 def _cost_has_terms(study: Study) -> None:
-    """Expect a number for each reduction, in states of all magnitudes that do not fail."""
-    x = varied_states(study.task)
+    """Expect a number for each reduction, in various states that do not fail."""
+    starts = drawn_starts(study.task, np.random.default_rng(0))
+    x = np.clip(varied_states(study.task), starts - FAR, starts + FAR)
+    robot = len(study.task.without_targets.states)
+    x[:, robot:] = starts[:, robot:]  # targets are what the task draws
     x = x[study.task.violated(x) < 0]
     u = np.resize(inputs(study), (len(x), len(study.task.inputs)))
     shape = (len(x), len(study.cost.reductions))

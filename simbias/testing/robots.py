@@ -149,8 +149,8 @@ def _policy_acts(study: Study) -> None:
     policy, x, thetas, m = study.policy, states(study), policies(study), len(study.task.inputs)
     before = np.zeros((POINTS, policy.state_size))
     made = policy.act(thetas, x, 0.0, before)
-    both = isinstance(made, tuple) and len(made) == 2
-    expect(both, "policy.act", "inputs and the policy state", f"a {type(made).__name__} of {len(made)}")
+    both = isinstance(made, tuple | list) and len(made) == 2
+    expect(both, "policy.act", "inputs and the policy state", f"one {type(made).__name__}")
     u, after = made
     equal(np.shape(u), (POINTS, m), "policy.act", f"inputs of shape ({POINTS}, {m})")
     equal(np.shape(after), before.shape, "policy.act", f"a policy state of shape {before.shape}")

@@ -28,9 +28,7 @@ NEARER, EARLIER = 0.95, 0.9  # of the least shortfall in the first 90%: a last o
 ROUGH = 0.5  # of the residuals' root mean square: larger errors of a sparse posterior are reported
 STARTS = 20  # simulated for a policy if the task does not define success
 CHATTER = 0.1  # of an input's range: a larger mean change from frame to frame is reported
-DEFAULT_WEIGHTS = (
-    "; plans weigh errors and inputs by defaults, whatever this cost says; cost=tracking has weights"
-)
+DEFAULT_WEIGHTS = "; the plan has default weights, as this cost gives none: set them with cost=tracking"
 
 _simulated: WeakKeyDictionary[Iteration, tuple[Remark, ...]] = WeakKeyDictionary()
 

@@ -118,9 +118,9 @@ class TrialSummary:
     def metrics(self) -> dict[str, float]:
         """The numbers by name, `group/name`, without missing ones."""
         numbers = {
-            "trial/experiments": float(self.experiments) if self.outcome.final else nan,
-            "trial/experiments_until_success": self.experiments_until_success,
-            "trial/iterations_until_success": self.iterations_until_success,
+            "trial/experiments": self.experiments_until_success,
+            "trial/experiments_made": float(self.experiments) if self.outcome.final else nan,
+            "trial/iterations": self.iterations_until_success,
             "trial/seconds": self.seconds,
             "trial/hardware_seconds": self.hardware_seconds,
             "test/success_rate": self.success_rate,

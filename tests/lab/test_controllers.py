@@ -153,11 +153,20 @@ def test_after_what_is_no_number_it_stays_aborted(study: Study) -> None:
 
 @pytest.mark.parametrize("wrong", [[0.0] * 5, [0.0] * 7, [[0.0], [0.0, 0.0]], None, "x"], ids=str)
 def test_after_a_state_of_wrong_shape_it_stays_aborted(wrong: Any, study: Study) -> None:
-    control = controller(with_everything(study))
-    with pytest.raises(ValueError, match=r"reshape|shape|convert"):
-        control(wrong)
-    with pytest.raises(ValueError, match="abort: not_a_number"):
-        control(study.task.start_mean)
+    request = with_everything(study)
+    for control in (controller(request), request.controller()):
+        with pytest.raises(ValueError, match=r"reshape|shape|convert"):
+            control(wrong)
+        with pytest.raises((ValueError, UnsafeError), match="not_a_number"):
+            control(study.task.start_mean)
+
+
+def test_a_controller_may_run_for_longer_than_an_experiment() -> None:
+    request = of_mass(Integral)
+    control = request.controller()
+    for _ in range(2 * request.task.horizon):
+        control(np.zeros(2))
+    np.testing.assert_array_equal(control.policy_state, [0.0])
 
 
 def test_the_request_controller_aborts_without_a_limit_as_the_code_does(study: Study) -> None:

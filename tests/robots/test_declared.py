@@ -326,6 +326,10 @@ def test_what_cannot_be_meant_is_refused() -> None:
             {"failure": {"falls": {"value": "angel", "below": 1}}},
             "^task: failure.falls: 'angel': nothing is called an",
         ),
+        (
+            {"failure": {"falls": {"value": "abs( angle )", "above": 30, "unit": "deg"}}},
+            "^task: failure.falls.unit is deg, but angle is in rad, and bounds are not converted: give this",
+        ),
         ({"failure": {"falls": {"value": "angle"}}}, "^task: failure.falls: needs one of above and below"),
         ({"states": {"a b": {"unit": "m"}}}, "^task.states: 'a b' is not a name"),
         ({"constants": {"angle": 1.0}}, "^task: angle: two things have this name"),
@@ -445,12 +449,13 @@ def test_a_reference_that_cannot_be_meant_is_refused(tmp_path: Path) -> None:
     with pytest.warns(StudyWarning, match=r"lasts 5000 s, but an episode takes 5 s: is its t in ms\?"):
         declared(reference=table(tmp_path, "t,position\n0,0\n5000,0.1\n"))
     swingup, file = shipped_task("pendulum_swingup") | {"time_step": 0.01}, tmp_path / "reference.csv"
-    states = swingup["states"] | {"angle": swingup["states"]["angle"] | {"unit": "deg"}}
+    swingup["states"] = swingup["states"] | {"angle": swingup["states"]["angle"] | {"unit": "deg"}}
+    swingup["success"]["upright"] = swingup["success"]["upright"] | {"unit": "deg"}
 
     def of_angles(angles: Array) -> None:
         rows = (f"{0.1 * row:.1f},{angle}" for row, angle in enumerate(angles))
         file.write_text("\n".join(["t,angle", *rows]))
-        construct({**swingup, "states": states, "reference": str(file)}, Task, "task")
+        construct({**swingup, "reference": str(file)}, Task, "task")
 
     with one_line("row of t = 0.2 s, column angle: -180 is more than half a turn from 171; write 180, or"):
         of_angles(np.append([162, 171, -180, -171], np.full(60, -171)))

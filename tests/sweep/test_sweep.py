@@ -39,7 +39,7 @@ from simbias.__main__ import main
 from simbias.config import ConfigError
 from simbias.engine.contract import EngineLostError
 from simbias.engine.sequential import Sequential
-from simbias.mlflow.pages import PARENT
+from simbias.mlflow.pages import DROPPED, PARENT
 from simbias.mlflow.runs import superseded
 from simbias.sweep import results, tables
 from simbias.sweep.figure import UndrawnError
@@ -513,6 +513,7 @@ def test_trials_that_a_sweep_drops_leave_it_and_return_as_they_were(folder: Path
         found.append({run.info.run_id for run in nested})
     first, other, last = found
     assert first == last
+    assert not any(DROPPED in run.data.tags for run in nested if run.info.run_id in first)
     assert (len(first), len(other), len(first & other)) == (4, 3, 2)
 
 

@@ -120,9 +120,10 @@ def check_units(group: str, conditions: Mapping[str, Failure], units: Mapping[st
     """Refuse a condition on a quantity, or on its magnitude, in another unit: nothing is converted."""
     for key, each in conditions.items():
         value = each.value.replace(" ", "").removeprefix("abs(").removesuffix(")")
-        if each.unit and each.unit != units.get(value, each.unit):
-            said = f"{value} is in {units[value] or 'no unit'}, and bounds are not converted from {each.unit}"
-            raise ValueError(f"{group}.{key}: {said}")
+        unit = units.get(value, "")
+        if each.unit and unit and each.unit != unit:
+            said = f"{value} is in {unit}, and bounds are not converted: give this one in {unit}"
+            raise ValueError(f"{group}.{key}.unit is {each.unit}, but {said}")
 
 
 def criterion_of(name: str, failure: Failure, states: Collection[str]) -> Criterion:
