@@ -19,7 +19,7 @@ from simbias.core.commands import BAD_INPUT, FAILED, INTERRUPTED, SUCCEEDED, pyt
 from simbias.core.interruption import Interruption
 from simbias.core.messages import words
 from simbias.terminal.arguments import RUN, parse
-from simbias.terminal.lines import warnings_in_one_line
+from simbias.terminal.study_warnings import warnings_in_one_line
 
 if TYPE_CHECKING:
     from simbias.mlflow.tracking import Mlflow

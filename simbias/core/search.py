@@ -71,12 +71,12 @@ class Cost(ABC):
         """Z of a rollout: finite. A frame that ends in a non-finite state fails; nan terms are left out."""
         t = self.time_step * np.arange(1, rollout.frames + 1)
         with np.errstate(over="ignore", invalid="ignore"):  # a simulated state may overflow
-            terms = np.moveaxis(self.terms(rollout.states[1:], rollout.inputs, t), -1, 0)
-            if terms.shape != (shape := (len(self.reductions), rollout.frames)):
-                raise ValueError(f"terms: expected shape {shape[::-1]}, got {terms.shape[::-1]}")
+            terms = self.terms(rollout.states[1:], rollout.inputs, t)
+            if terms.shape != (shape := (rollout.frames, len(self.reductions))):
+                raise ValueError(f"terms: expected shape {shape}, got {terms.shape}")
             totals = [
                 np.nansum(term) if reduction == "sum" else np.fmax.reduce(term, initial=0.0)
-                for reduction, term in zip(self.reductions, terms, strict=True)
+                for reduction, term in zip(self.reductions, terms.T, strict=True)
             ]
         lost = 0 if rollout.failed_at is None else self.horizon - rollout.failed_at
         return float(self.of_totals(np.array(totals), np.array(lost)))

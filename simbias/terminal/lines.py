@@ -1,18 +1,15 @@
-"""Lines on a terminal: progress, warnings, and the traceback files that they name."""
+"""Lines on a terminal: progress, and the traceback files that they name."""
 
 from __future__ import annotations
 
 import sys
-import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from tempfile import NamedTemporaryFile
-from typing import Any
 
 from rich.console import Console
 
-from simbias.core import StudyWarning
 from simbias.core.messages import with_trace
 
 TRACEBACK = "simbias-error-"  # prefix of files kept for a person
@@ -34,25 +31,6 @@ def progress(console: Console) -> Iterator[Callable[[str], None]]:
     """A function that shows the current activity; without a terminal, each call prints a line."""
     with console.status("") as status:
         yield status.update if console.is_terminal else partial(say, console)
-
-
-@contextmanager
-def warnings_in_one_line() -> Iterator[None]:
-    """Show each StudyWarning once, as one line, without its place in the code."""
-    shown_otherwise = warnings.showwarning
-    shown: set[str] = set()
-
-    def show(message: Warning | str, *place: Any, **otherwise: Any) -> None:
-        if not isinstance(message, StudyWarning):
-            shown_otherwise(message, *place, **otherwise)
-        elif str(message) not in shown:
-            print(f"simbias: {message}", file=sys.stderr)
-            shown.add(str(message))
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("always", StudyWarning)
-        warnings.showwarning = show
-        yield
 
 
 def place_of_trace(error: BaseException) -> str:

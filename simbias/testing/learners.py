@@ -45,8 +45,8 @@ def _bias_without_data(study: Study) -> None:
 
 @check("bias", "predictions of data, with any leading axes")
 def _bias_predicts(study: Study) -> None:
-    fitted = _fit(study, transitions(study))
-    x, u = robot_states(study), inputs(study)
+    data = transitions(study)
+    fitted, x, u = _fit(study, data), robot_states(study), inputs(study)
     points = np.concatenate([x, u], axis=1)
     mean, variance = fitted.predict(points)
     for name, given in (("means", mean), ("variances", variance)):
@@ -54,13 +54,11 @@ def _bias_predicts(study: Study) -> None:
     expect((np.asarray(variance) >= 0).all(), "predict", "no negative variance", variance)
     expect(np.isfinite(mean).all(), "predict", "finite means", mean)
     expect_any_leading_axes(fitted.correction, "correction", x, u)
-    learned = fitted.predict(transitions(study).inputs)[0]
-    data = np.split(transitions(study).inputs, [x.shape[1]], axis=1)
-    correction = np.asarray(fitted.correction(*data))
+    learned, _ = fitted.predict(data.inputs)
+    correction = np.asarray(fitted.correction(*np.split(data.inputs, [x.shape[1]], axis=1)))
     expect(np.isfinite(correction).all(), "correction", "finite numbers", correction)
-    alike = np.sum(learned * correction)
-    expect(alike >= 0, "correction", "the sign of what is predicted", "the opposite")
-    again = _fit(study, transitions(study)).predict(points)
+    expect(np.sum(learned * correction) >= 0, "correction", "the sign of what is predicted", "the opposite")
+    again = _fit(study, data).predict(points)
     equal(again, (mean, variance), "fit", "the same from the same data", 0.0)
 
 

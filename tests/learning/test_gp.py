@@ -24,7 +24,7 @@ from simbias.learning.covariance import Hyperparameters, correlation, stable_cho
 from simbias.learning.identification.delay import Delay
 from simbias.simulation.compiler import LANES, compile_closed_loop
 from simbias.sweep.worker import PlannedTrial, run_plan
-from simbias.terminal.lines import warnings_in_one_line
+from simbias.terminal.study_warnings import warnings_in_one_line
 from simbias.trial.study import Study
 from simbias.trial.warm_up import warm_up
 

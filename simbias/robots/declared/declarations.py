@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, TypeVar
@@ -116,10 +117,18 @@ def bounds_of(inputs: Mapping[str, Input]) -> tuple[Array, Array]:
     return lower, upper
 
 
+def within_abs(expression: str) -> tuple[str, bool]:
+    """An expression in one spelling, without an outer `abs`, and whether it has one."""
+    node = ast.parse(expression.strip(), mode="eval").body
+    if isinstance(node, ast.Call) and ast.unparse(node.func) == "abs":
+        return ast.unparse(node.args[0]), True
+    return ast.unparse(node), False
+
+
 def check_units(group: str, conditions: Mapping[str, Failure], units: Mapping[str, str]) -> None:
     """Refuse a condition on a quantity, or on its magnitude, in another unit: nothing is converted."""
     for key, each in conditions.items():
-        value = each.value.replace(" ", "").removeprefix("abs(").removesuffix(")")
+        value, _ = within_abs(each.value)
         unit = units.get(value, "")
         if each.unit and unit and each.unit != unit:
             said = f"{value} is in {unit}, and bounds are not converted: give this one in {unit}"

@@ -11,7 +11,7 @@ import numpy as np
 
 from simbias.core import Quantity, StudyWarning, Task
 from simbias.core.records import Array
-from simbias.robots.declared.declarations import Failure, criterion_of
+from simbias.robots.declared.declarations import Failure, criterion_of, within_abs
 from simbias.robots.declared.reference import TIME
 from simbias.simulation.compiler import Expressions
 
@@ -49,7 +49,7 @@ class Success:
         keyed = own | {f"failure.{name}": each for name, each in failures.items()}
         together = defaultdict[str, list[str]](list)
         for key, each in keyed.items():
-            together[_within(each.value)[0]].append(key)
+            together[within_abs(each.value)[0]].append(key)
         for expression, keys in together.items():
             ends = np.unique([(0.0, _bound(keyed[key]), -_bound(keyed[key])) for key in keys])
             values = np.concatenate([ends, (ends[1:] + ends[:-1]) / 2, 2 * ends[[0, -1]] + [-1.0, 1.0]])
@@ -134,14 +134,6 @@ def warn_of_turns(
         warnings.warn(words, StudyWarning, stacklevel=4)
 
 
-def _within(expression: str) -> tuple[str, bool]:
-    """An expression in one spelling, without an outer `abs`, and whether it has one."""
-    node = ast.parse(expression.strip(), mode="eval").body
-    if isinstance(node, ast.Call) and ast.unparse(node.func) == "abs":
-        return ast.unparse(node.args[0]), True
-    return ast.unparse(node), False
-
-
 def _bound(condition: Failure) -> float:
     """The number that a condition's value is compared with."""
     return criterion_of("", condition, ()).limit * (1.0 if condition.below is None else -1.0)
@@ -149,7 +141,7 @@ def _bound(condition: Failure) -> float:
 
 def _margin(condition: Failure, values: Array) -> Array:
     """By how much (k,) the expression of a condition, or that within its `abs`, meets it at these values."""
-    given = np.abs(values) if _within(condition.value)[1] else values
+    given = np.abs(values) if within_abs(condition.value)[1] else values
     return (given - _bound(condition)) * (1.0 if condition.below is None else -1.0)
 
 
@@ -167,7 +159,7 @@ def _beside_bound(condition: Failure, measure: float, limit: float) -> str:
 
 def _bounds_turns(condition: Failure, turning: Mapping[str, float]) -> bool:
     """Whether a condition bounds an angle, or its distance from something, beyond half a turn."""
-    part = ast.parse(_within(condition.value)[0], mode="eval").body
+    part = ast.parse(within_abs(condition.value)[0], mode="eval").body
     sides: list[ast.expr] = [part]
     if isinstance(part, ast.BinOp) and isinstance(part.op, ast.Add | ast.Sub):
         sides = [part.left, part.right]

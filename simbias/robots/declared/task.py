@@ -170,9 +170,9 @@ class Declared(Task):
     def _set_failures(self, failure: dict[str, Failure]) -> None:
         """Set the failure criteria; refuse those that depend on targets, which a robot does not have."""
         names = tuple(each.name for each in self.states[: len(self.states) - len(self.targets)])
-        check_units("failure", failure, {each.name: each.unit for each in self.states})
         self.criteria = tuple(criterion_of(name, each, names) for name, each in failure.items())
         self._measure = self._measures("failure", failure, self._known["variables"])
+        check_units("failure", failure, {each.name: each.unit for each in self.states})
         x = self.start_mean.copy()
         x[len(x) - len(self.targets) :] = np.nan
         for criterion, measure in zip(self.criteria, self.measure(x) if self.targets else (), strict=False):
@@ -251,10 +251,10 @@ class Declared(Task):
             raise ValueError(
                 f"hold is {hold:g} s, but an episode {self.horizon * self.time_step:g} s: none can succeed"
             )
-        units = {each.name: each.unit for each in self.states}
-        check_units("success", success, units | {f"{goal.name}_error": goal.unit for goal in self._goals})
         names = success_names(self._known["variables"], self._goals)
         measures = self._measures("success", success, names)
+        units = {each.name: each.unit for each in self.states}
+        check_units("success", success, units | {f"{goal.name}_error": goal.unit for goal in self._goals})
         self._success = Success(success, measures, self.frames(hold) + 1, hold)
         times = self._success.times(self)
         errors = np.zeros((len(times), len(self._goals)))
