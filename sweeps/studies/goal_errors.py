@@ -9,7 +9,7 @@ trial's is the mean over its test episodes, of those that failed while they last
 
 from __future__ import annotations
 
-import sys
+import argparse
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -91,4 +91,9 @@ def main(name: str, path: Path, *rivals: str) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], Path(sys.argv[2]), *sys.argv[3:])
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("sweep")
+    parser.add_argument("file", type=Path)
+    parser.add_argument("rivals", nargs="*")
+    arguments = parser.parse_args()
+    main(arguments.sweep, arguments.file, *arguments.rivals)

@@ -7,6 +7,7 @@ with them. It is for sweeps that ran without `policy_test.episodes=20`, which do
 
 from __future__ import annotations
 
+import argparse
 import sys
 from pathlib import Path
 from typing import Any
@@ -65,4 +66,8 @@ def main(name: str, path: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], Path(sys.argv[2]))
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("name")
+    parser.add_argument("file", type=Path)
+    arguments = parser.parse_args()
+    main(arguments.name, arguments.file)

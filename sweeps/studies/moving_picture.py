@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-import sys
+import argparse
 
 import simbias
 from simbias.core.messages import counted
@@ -31,4 +31,8 @@ def moving_picture(trial: str, file: str) -> None:
 
 
 if __name__ == "__main__":
-    moving_picture(*sys.argv[1:3])
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("trial")
+    parser.add_argument("file")
+    arguments = parser.parse_args()
+    moving_picture(arguments.trial, arguments.file)

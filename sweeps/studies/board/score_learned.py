@@ -9,7 +9,7 @@ to the model; in two more columns it has the hardware's friction, slow motor, la
 
 from __future__ import annotations
 
-import sys
+import argparse
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -77,4 +77,8 @@ def main(out: Path, folders: list[Path]) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), [*map(Path, sys.argv[2:])])
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("file", type=Path)
+    parser.add_argument("trials", type=Path, nargs="+")
+    arguments = parser.parse_args()
+    main(arguments.file, arguments.trials)
