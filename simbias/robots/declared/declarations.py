@@ -141,3 +141,8 @@ def criterion_of(name: str, failure: Failure, states: Collection[str]) -> Criter
     value = failure.value.replace(" ", "")
     bounds = {state: limit for state in states if failure.below is None and value == f"abs({state})"}
     return Criterion(name, failure.words or name.replace("_", " "), limit, failure.unit, bounds)
+
+
+def bound_of(condition: Failure) -> float:
+    """The number that a condition's value is compared with."""
+    return criterion_of("", condition, ()).limit * (1.0 if condition.below is None else -1.0)

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import ast
-import warnings
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from simbias.core import Quantity, StudyWarning, Task
+from simbias.core import Quantity, Task
 from simbias.core.records import Array
-from simbias.robots.declared.declarations import Failure, criterion_of, within_abs
+from simbias.robots.declared.declarations import Failure, bound_of, criterion_of, within_abs
 from simbias.robots.declared.reference import TIME
 from simbias.simulation.compiler import Expressions
 
@@ -51,7 +49,7 @@ class Success:
         for key, each in keyed.items():
             together[within_abs(each.value)[0]].append(key)
         for expression, keys in together.items():
-            ends = np.unique([(0.0, _bound(keyed[key]), -_bound(keyed[key])) for key in keys])
+            ends = np.unique([(0.0, bound_of(keyed[key]), -bound_of(keyed[key])) for key in keys])
             values = np.concatenate([ends, (ends[1:] + ends[:-1]) / 2, 2 * ends[[0, -1]] + [-1.0, 1.0]])
             met = [(_margin(keyed[key], values) > 0) == (key in own) for key in keys]
             if keys[0] in own and not np.all(met, axis=0).any():
@@ -114,35 +112,10 @@ def success_names(states: Sequence[str], goals: Sequence[Quantity]) -> list[str]
     return [*states, TIME, *(f"{goal.name}_error" for goal in goals)]
 
 
-def warn_of_turns(
-    where: Mapping[str, str], conditions: Mapping[str, Failure], turning: Mapping[str, float]
-) -> None:
-    """Warn if a condition uses an angle that wraps outside of sin and cos, where its turns count.
-
-    Conditions are named by their keys; `where` holds expressions that they may use, and `turning` half a turn
-    of each angle that may make one. A bound beyond half a turn on an angle is meant to count turns.
-    """
-    angles = {name: name for name in turning}
-    for key, text in (*where.items(), *((key, each.value) for key, each in conditions.items())):
-        for name in sorted(angles.keys() & _outside(text)):
-            angles[key] = angles[name]
-    meant = {key for key, each in conditions.items() if _bounds_turns(each, turning)}
-    for key in [key for key in conditions if key in angles.keys() - meant][:1]:
-        angle = angles[key]
-        words = f"{key} counts the turns of {angle}, which wraps: after a whole turn it is not zero again; "
-        words += f"sin({angle}), cos({angle}) and the goal's error do not count them"
-        warnings.warn(words, StudyWarning, stacklevel=4)
-
-
-def _bound(condition: Failure) -> float:
-    """The number that a condition's value is compared with."""
-    return criterion_of("", condition, ()).limit * (1.0 if condition.below is None else -1.0)
-
-
 def _margin(condition: Failure, values: Array) -> Array:
     """By how much (k,) the expression of a condition, or that within its `abs`, meets it at these values."""
     given = np.abs(values) if within_abs(condition.value)[1] else values
-    return (given - _bound(condition)) * (1.0 if condition.below is None else -1.0)
+    return (given - bound_of(condition)) * (1.0 if condition.below is None else -1.0)
 
 
 def _rows_of(states: Array, times: Array, errors: Array) -> Array:
@@ -155,25 +128,3 @@ def _beside_bound(condition: Failure, measure: float, limit: float) -> str:
     side, sign = ("above", 1) if condition.below is None else ("below", -1)
     value = f"{sign * measure + 0.0:.3g} {condition.unit}".strip()
     return f"{value}, not {side} {sign * limit:g}"
-
-
-def _bounds_turns(condition: Failure, turning: Mapping[str, float]) -> bool:
-    """Whether a condition bounds an angle, or its distance from something, beyond half a turn."""
-    part = ast.parse(within_abs(condition.value)[0], mode="eval").body
-    sides: list[ast.expr] = [part]
-    if isinstance(part, ast.BinOp) and isinstance(part.op, ast.Add | ast.Sub):
-        sides = [part.left, part.right]
-    halves = [turning.get(each.id, np.inf) for each in sides if isinstance(each, ast.Name)]
-    return any(abs(_bound(condition)) > half for half in halves)
-
-
-def _outside(text: str) -> set[str]:
-    """The names that an expression uses outside of sin and cos."""
-    found, parts = set[str](), list[ast.AST]([ast.parse(text.strip(), mode="eval").body])
-    while parts:
-        part = parts.pop()
-        if isinstance(part, ast.Name):
-            found.add(part.id)
-        elif not (isinstance(part, ast.Call) and ast.unparse(part.func) in ("sin", "cos")):
-            parts += ast.iter_child_nodes(part)
-    return found

@@ -11,7 +11,6 @@ from pydantic import Field
 
 from simbias.core import Quantity, Task
 from simbias.core.files import ConfigFile
-from simbias.core.quantities import TURNS
 from simbias.core.ranges import Coordinate, Frames, Seconds, TimeStep
 from simbias.core.records import Array
 from simbias.core.task_checks import check_quantities, drawn_starts, varied_states
@@ -37,13 +36,12 @@ from simbias.robots.declared.reference import (
     warn_of_degrees,
 )
 from simbias.robots.declared.starts import Starts, State
-from simbias.robots.declared.success import Success, success_names, warn_of_turns
+from simbias.robots.declared.success import Success, success_names
+from simbias.robots.declared.turns import warn_of_turns
 from simbias.robots.mujoco.figure import Figure, FigureFile
 from simbias.robots.mujoco.rendering import Image
 from simbias.robots.mujoco.sensors import SensorFile, Sensors
 from simbias.simulation.compiler import Expression, Expressions
-
-SHARES = np.linspace(0.0, 1.0, 361)  # of a turn: where failures are sought
 
 
 class Declared(Task):
@@ -274,35 +272,17 @@ class Declared(Task):
 
     def _warn_of_turns(self, failure: Mapping[str, Failure], success: Mapping[str, Failure]) -> None:
         """Warn if a condition counts the turns of an angle; a failure's `abs` of an angle may mean to."""
-        if not any(each.wraps for each in self.states):
-            return
         conditions = {f"success.{name}": each for name, each in success.items()}
         for criterion, each in zip(self.criteria, failure.values(), strict=True):
             if not criterion.bounds:
                 conditions[f"failure.{criterion.name}"] = each
-        warn_of_turns(self._known["where"], conditions, self._turning())
+        warn_of_turns(self, self._known["where"], conditions, self._measure_alone)
 
-    def _turning(self) -> dict[str, float]:
-        """Half a turn of each angle that may make a whole one: no failure stops it, whatever the others."""
-        turning, starts = dict[str, float](), drawn_starts(self, np.random.default_rng(0))
-        begun = starts[self.violated(starts) < 0]
-        for index, each in enumerate(self.states if len(begun) else ()):
-            if not each.wraps:
-                continue
-            turn = TURNS.get(each.unit, 0.0)
-            ways = (begun[:, index].max() + turn * SHARES, begun[:, index].min() - turn * SHARES)
-            last, first = (self._last(index, way) for way in ways)
-            if turn < last - first:
-                turning[each.name] = turn / 2
-        return turning
-
-    def _last(self, index: int, values: Array) -> float:
-        """The last value (k,) of a state on a way along which the task fails nowhere, whatever the others."""
+    def _measure_alone(self, index: int, values: Array) -> Array:
+        """Measures (k, c) of failure at values (k,) of one state; nan if they depend on others, too."""
         x = np.full((len(values), len(self._known["variables"])), np.nan)
         x[:, index] = values
-        limits = np.array([criterion.limit for criterion in self.criteria])
-        failing = np.flatnonzero((self._measure(x) > limits).any(axis=1))
-        return float(values[max(failing.min(initial=len(values)) - 1, 0)])
+        return self._measure(x)
 
     def _measures(self, key: str, conditions: Mapping[str, Failure], names: Sequence[str]) -> Expressions:
         """Measures that exceed the limits of conditions if these hold."""
