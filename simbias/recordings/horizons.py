@@ -28,33 +28,52 @@ SMALLEST, LARGEST = 1e-150, 1e150  # errors; their ratio is finite
 MOST_RATIO = 1e3  # of errors, or its inverse; a divergence counts as this
 
 
+class ModelErrors(NamedTuple):
+    """Errors of a model's predictions of rollouts at one horizon, and what explains them."""
+
+    errors: Array  # (w, n)
+    spreads: Array  # (w, n, n) of each prediction, over drawn models and starts
+    noise: Array  # (n,) standard deviations of noise in measured states, at least `EXACT` of the states' own
+    changes: Array  # (w, n) predicted changes of states
+
+    @staticmethod
+    def of(model: Nominal, rollouts: Sequence[Rollout], frames: int) -> ModelErrors:
+        """Errors of a model this number of frames ahead."""
+        wrong = errors(model, rollouts, frames)
+        deviations = np.std(np.concatenate([rollout.states for rollout in rollouts]), axis=0)
+        noise = np.maximum(noise_of(rollouts), EXACT * deviations)
+        return ModelErrors(wrong, spread(model, rollouts, frames), noise, changes(wrong, rollouts, frames))
+
+
 @dataclass(frozen=True, eq=False)
 class HorizonErrors:
     """Prediction errors at one horizon, from measured states under measured inputs, by part."""
 
     seconds: float
     nominal: tuple[Array, ...]  # (w, n) for each part
-    identified: tuple[Array, ...]  # by models not fitted to the part
-    spreads: tuple[Array, ...]  # (w, n, n) of each prediction, over drawn models and starts
-    known: HeldOutErrors | None = None  # errors that give regions; None: for each part, the others'
-    changes: tuple[Array, ...] = ()  # (w, n) predicted changes; empty if parts are the known recordings
-    noises: tuple[Array, ...] = ()  # (n,) standard deviations of each part's measured states
-    own: tuple[tuple[Array, Array, Array], ...] = ()  # errors, spreads, noise of `own` models
+    identified: tuple[ModelErrors, ...]  # of models not fitted to the part
+    known: tuple[ModelErrors, ...] = ()  # those that give regions; without any, for each part, the others
+    own: tuple[ModelErrors, ...] = ()  # of models with own values of a recording's specific parameters
 
     @property
     def windows(self) -> int:
         """Number of predictions."""
-        return sum(map(len, self.identified))
+        return len(self._wrong)
+
+    @property
+    def _wrong(self) -> Array:
+        """Errors (w, n) of the identified models on all parts."""
+        return np.concatenate([each.errors for each in self.identified])
 
     def rmse(self) -> tuple[Array, Array]:
         """Root mean square errors (n,) of the nominal model and of the identified one."""
-        return _rmse(np.concatenate(self.nominal)), _rmse(np.concatenate(self.identified))
+        return _rmse(np.concatenate(self.nominal)), _rmse(self._wrong)
 
     def ratio(self, part: int | None = None) -> float:
         """Identified over nominal error: the geometric mean over states, of all parts or of one."""
         if part is None:
-            return ratio(np.concatenate(self.identified), np.concatenate(self.nominal))
-        return ratio(self.identified[part], self.nominal[part])
+            return ratio(self._wrong, np.concatenate(self.nominal))
+        return ratio(self.identified[part].errors, self.nominal[part])
 
     def coverage(self) -> float:
         """Share of errors in the 90% regions estimated from known errors; nan if these are too few.
@@ -64,10 +83,12 @@ class HorizonErrors:
         """
         held: list[Flags] = []
         for i, own in enumerate(self.identified):
-            known = self.known or self._others(i)
-            if len(own) and known.enough:
-                region = regions(self.spreads[i], known.errors, known.spreads)
-                held.append(inside(own, region + of_change(self.changes[i]) if self.changes else region))
+            known = self.known or self.identified[:i] + self.identified[i + 1 :]
+            wrong = np.concatenate([own.errors[:0], *(each.errors for each in known)])
+            enough = len(wrong) >= FEWEST * wrong.shape[1] and np.isfinite(wrong).all()
+            if len(own.errors) and enough:
+                region = regions(own.spreads, wrong, np.concatenate([each.spreads for each in known]))
+                held.append(inside(own.errors, region + of_change(own.changes) if self.known else region))
         return float(np.mean(np.concatenate(held))) if held else np.nan
 
     def unexplained(self) -> float:
@@ -76,33 +97,12 @@ class HorizonErrors:
         Sizes in the metric of these are compared at the 90% quantile of normal errors; nan if there are too
         few.
         """
-        each = self.own or zip(self.identified, self.spreads, self.noises, strict=True)
-        own = np.concatenate([sizes(wrong, spread + np.diag(noise**2)) for wrong, spread, noise in each])
-        n = self.identified[0].shape[1]
+        each = self.own or self.identified
+        own = np.concatenate([sizes(one.errors, one.spreads + np.diag(one.noise**2)) for one in each])
+        n = len(each[0].noise)
         if len(own) < FEWEST * n:
             return np.nan
         return float(np.sqrt(np.quantile(own, REGION) / _normal_limit(n)))
-
-    def _others(self, index: int) -> HeldOutErrors:
-        """Errors on all parts except one."""
-        rest = [j for j in range(len(self.identified)) if j != index]
-        errors, spreads = (
-            np.concatenate([each[j] for j in rest] or [each[index][:0]])
-            for each in (self.identified, self.spreads)
-        )
-        return HeldOutErrors(errors, spreads)
-
-
-class HeldOutErrors(NamedTuple):
-    """Errors of predictions by models on held-out data."""
-
-    errors: Array  # (v, n)
-    spreads: Array  # (v, n, n) of these predictions
-
-    @property
-    def enough(self) -> bool:
-        """Whether there are enough errors to estimate a region."""
-        return len(self.errors) >= FEWEST * self.errors.shape[1] and bool(np.isfinite(self.errors).all())
 
 
 def predictions(
@@ -120,23 +120,15 @@ def predictions(
     the recording, tell how far errors are explained.
     """
     longest = min(max(rollout.frames for rollout in part) for part in parts)
-    noises = tuple(_noise_of_part(part) for part in parts)
-
-    def ahead(k: int) -> HorizonErrors:
-        pairs = list(zip(identified, parts, strict=True))
-        wrong = tuple(errors(model, part, k) for model, part in pairs)
-        return HorizonErrors(
+    pairs = [*zip(identified, parts, strict=True)], learned, own
+    return [
+        HorizonErrors(
             float(f"{k * task.time_step:.6g}"),
             tuple(errors(nominal, part, k) for part in parts),
-            wrong,
-            tuple(spread(model, part, k) for model, part in pairs),
-            _known(learned, k) if learned else None,
-            tuple(changes(*each, k) for each in zip(wrong, parts, strict=True)) if learned else (),
-            noises,
-            tuple((errors(*each, k), spread(*each, k), _noise_of_part(each[1])) for each in own),
+            *(tuple(ModelErrors.of(*pair, k) for pair in each) for each in pairs),
         )
-
-    return [ahead(k) for k in horizons(task, longest)]
+        for k in horizons(task, longest)
+    ]
 
 
 def horizons(task: Task, longest: int) -> list[int]:
@@ -151,21 +143,6 @@ def over_changes(task: Task, nominal: Nominal, rollouts: Sequence[Rollout]) -> f
         wrong = errors(nominal, rollouts, k)
         ratios.append(ratio(wrong, changes(np.zeros_like(wrong), rollouts, k)))
     return geometric_mean(np.array(ratios))
-
-
-def _known(learned: Sequence[tuple[Nominal, Sequence[Rollout]]], frames: int) -> HeldOutErrors:
-    """Errors of models this number of frames ahead, each on the rollouts given with it."""
-    wrong, spreads = (
-        np.concatenate([of(model, rollouts, frames) for model, rollouts in learned])
-        for of in (errors, spread)
-    )
-    return HeldOutErrors(wrong, spreads)
-
-
-def _noise_of_part(rollouts: Sequence[Rollout]) -> Array:
-    """Standard deviations (n,) of noise in a part's states, at least `EXACT` of the states' deviations."""
-    states = np.concatenate([rollout.states for rollout in rollouts])
-    return np.maximum(noise_of(rollouts), EXACT * np.std(states, axis=0))
 
 
 def errors(

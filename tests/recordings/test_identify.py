@@ -1,6 +1,7 @@
 """What `identify` says of robots whose parameters are known, and what it leaves behind."""
 
 import re
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,7 +22,7 @@ from simbias.core.records import Array, Rollout
 from simbias.learning.identification.identified import Identified, Known
 from simbias.learning.identification.posterior import Posterior
 from simbias.learning.identification.rig import Rig, Sensor
-from simbias.recordings import horizons, plots
+from simbias.recordings import plots
 from simbias.recordings.assessment import Assessment, assess, own_findings, prepared
 from simbias.recordings.copies import copied, digests
 from simbias.recordings.excitation import Excitation
@@ -36,7 +37,15 @@ from simbias.recordings.files import (
     write,
 )
 from simbias.recordings.findings import STEP_DOUBT, findings
-from simbias.recordings.horizons import CHANGE, HorizonErrors, inside, predictions, regions, sizes
+from simbias.recordings.horizons import (
+    CHANGE,
+    HorizonErrors,
+    ModelErrors,
+    inside,
+    predictions,
+    regions,
+    sizes,
+)
 from simbias.recordings.mistakes import Mistake, changes, mistakes
 from simbias.recordings.parts import parts
 from simbias.recordings.reach import beyond
@@ -107,18 +116,30 @@ def test_mass_and_centre_of_the_first_link_are_one_parameter(assessment: Assessm
         assert by_name["mass_1"] == pytest.approx(by_name["centre_1"], rel=1e-3)
 
 
+def with_errors(one: HorizonErrors, wrong: Iterable[Array]) -> HorizonErrors:
+    """With other errors of the identified models, by part."""
+    pairs = zip(one.identified, wrong, strict=True)
+    return replace(one, identified=tuple(each._replace(errors=errors) for each, errors in pairs))
+
+
+def swapped(one: HorizonErrors) -> HorizonErrors:
+    """With the errors of the nominal model and of the identified ones in place of each other."""
+    return replace(with_errors(one, one.nominal), nominal=tuple(each.errors for each in one.identified))
+
+
 def test_errors_that_noise_and_uncertainty_do_not_explain_are_told(assessment: Assessment) -> None:
     """Not where the model is the robot's; errors three times as large are three times what is explained."""
     rng, noise = np.random.default_rng(0), np.array([0.1, 2.0])
     spread = np.tile(np.diag([0.01, 9.0]), (400, 1, 1))
     wrong = rng.standard_normal((400, 2)) * np.sqrt(np.array([0.01, 9.0]) + noise**2)
     for times in (1.0, 3.0):
-        made = HorizonErrors(0.5, (wrong,), (times * wrong,), (spread,), noises=(noise,))
-        assert made.unexplained() == pytest.approx(times, rel=0.1)
-    assert np.isnan(replace(made, identified=(wrong[:9],), spreads=(spread[:9],)).unexplained())
+        own = ModelErrors(times * wrong, spread, noise, wrong)
+        assert HorizonErrors(0.5, (wrong,), (own,)).unexplained() == pytest.approx(times, rel=0.1)
+    few = own._replace(errors=wrong[:9], spreads=spread[:9])
+    assert np.isnan(HorizonErrors(0.5, (wrong,), (few,)).unexplained())
     assert "explain" not in verdict(assessment)
     larger = [
-        replace(one, identified=tuple(3 * each for each in one.identified)) for one in assessment.predictions
+        with_errors(one, [3 * each.errors for each in one.identified]) for one in assessment.predictions
     ]
     lacking = replace(assessment, predictions=larger).doubted()
     still = replace(assessment.study, task=pendulum("task.failure.speed.above=0.1").task)
@@ -134,15 +155,18 @@ def test_errors_that_noise_and_uncertainty_do_not_explain_are_told(assessment: A
     assert " No parameter is trusted." in verdict(lacking)
     assert not parameters(lacking)["trusted"].any()
     assert "is a unit wrong?" not in verdict(replace(lacking, study=still))
-    far = [replace(one, identified=tuple(9 * each for each in one.identified)) for one in larger]
+    far = [with_errors(one, [9 * each.errors for each in one.identified]) for one in larger]
     for fitted, asks in ((lacking.study, False), (still, True)):
         assert ("is a unit wrong?" in verdict(replace(lacking, study=fitted, predictions=far))) == asks
-    swapped = [replace(one, nominal=one.identified, identified=one.nominal) for one in larger]
-    doubts = [each.doubts[-1] for each in replace(assessment, predictions=swapped).doubted().findings]
+    no_better = replace(assessment, predictions=[*map(swapped, larger)]).doubted()
+    doubts = [each.doubts[-1] for each in no_better.findings]
     assert set(doubts) == {"the model is no better than the nominal one"}
-    pairs = [zip(one.identified, one.nominal, strict=True) for one in assessment.predictions]
-    mixed = [tuple(np.hstack([own[:, :-1], 1.1 * of[:, -1:]]) for own, of in pair) for pair in pairs]
-    worse = [replace(one, identified=each) for one, each in zip(assessment.predictions, mixed, strict=True)]
+    worse = []
+    for one in assessment.predictions:
+        pairs = zip(one.identified, one.nominal, strict=True)
+        worse.append(
+            with_errors(one, [np.hstack([own.errors[:, :-1], 1.1 * of[:, -1:]]) for own, of in pairs])
+        )
     assert f" They are larger in {assessment.task.states[-1].name}." in verdict(
         replace(assessment, predictions=worse)
     )
@@ -321,6 +345,12 @@ def test_a_single_recording_is_cut_into_thirds() -> None:
     assert [sum(rollout.frames for rollout in each) for each in again] == [6, 6, 6]
 
 
+def errors_with(wrong: Array, spreads: Array, changes: Array | None = None) -> ModelErrors:
+    """Errors of predictions of measurements without noise, by default without a change."""
+    n = wrong.shape[1]
+    return ModelErrors(wrong, spreads, np.zeros(n), np.zeros_like(wrong) if changes is None else changes)
+
+
 def test_regions_hold_what_they_promise() -> None:
     """Normal errors, the same in all parts: 90%, for any covariance. Wider ones elsewhere: less, unless their
     predictions spread as much.
@@ -331,7 +361,7 @@ def test_regions_hold_what_they_promise() -> None:
     none, spreads = np.zeros((4000, 2, 2)), np.tile(factor.T @ factor, (4000, 1, 1))
 
     def coverage(wrong: list[np.ndarray], spread: list[np.ndarray]) -> float:
-        return HorizonErrors(0.1, tuple(wrong), tuple(wrong), tuple(spread)).coverage()
+        return HorizonErrors(0.1, tuple(wrong), tuple(map(errors_with, wrong, spread))).coverage()
 
     assert coverage(e, [none] * 3) == pytest.approx(0.9, abs=0.02)
     wide = [e[0], e[1], 5 * e[2]]
@@ -355,14 +385,12 @@ def test_what_known_errors_do_not_hold_widens_regions_as_it_is() -> None:
 
 def test_other_recordings_may_err_by_a_share_of_what_happens() -> None:
     """Where more happens than in what is known, regions are as much wider as errors are larger."""
-    rng, none = np.random.default_rng(0), (np.zeros((4000, 2, 2)),)
-    known, moved = (
-        horizons.HeldOutErrors(rng.standard_normal((4000, 2)), none[0]),
-        30.0 * rng.standard_normal((4000, 2)),
-    )
-    wrong = (rng.standard_normal((4000, 2)) + CHANGE * moved * rng.standard_normal((4000, 2)),)
-    assert HorizonErrors(0.1, wrong, wrong, none, known=known).coverage() < 0.6
-    assert HorizonErrors(0.1, wrong, wrong, none, known, (moved,)).coverage() == pytest.approx(0.9, abs=0.02)
+    rng, none = np.random.default_rng(0), np.zeros((4000, 2, 2))
+    known, moved = errors_with(rng.standard_normal((4000, 2)), none), 30.0 * rng.standard_normal((4000, 2))
+    wrong = rng.standard_normal((4000, 2)) + CHANGE * moved * rng.standard_normal((4000, 2))
+    for change, least, most in ((None, 0.0, 0.6), (moved, 0.88, 0.92)):
+        own = errors_with(wrong, none, change)
+        assert least < HorizonErrors(0.1, (wrong,), (own,), (known,)).coverage() < most
 
 
 @pytest.mark.parametrize(
@@ -387,14 +415,12 @@ class Growing(NoNominal):
 
 @pytest.mark.usefixtures("plain_predictions")
 def test_of_other_recordings_the_predicted_change_counts() -> None:
-    """Not the measured one, which is half of it; and of no recording among the known ones."""
+    """Not the measured one, which is half of it."""
     task = cart_pole(time_step=0.04)
     rollout = Rollout(np.tile(0.04 * np.arange(60.0)[:, None], 4), np.zeros((59, 1)))
-    model, parts_of = Growing(task), [[rollout]]
-    made = predictions(task, model, [model], parts_of, learned=[(model, [rollout])])
-    for each in made:
-        np.testing.assert_allclose(each.changes[0], 2.0 * each.seconds)
-    assert {each.changes for each in predictions(task, model, [model], parts_of)} == {()}
+    model = Growing(task)
+    for each in predictions(task, model, [model], [[rollout]], learned=[(model, [rollout])]):
+        np.testing.assert_allclose(each.identified[0].changes, 2.0 * each.seconds)
 
 
 def test_few_errors_give_regions_that_hold_another_one() -> None:
@@ -661,9 +687,7 @@ def test_the_page_is_one_file_and_runs_nothing(assessment: Assessment) -> None:
     doubted = [replace(each, passing=("partly determined",)) for each in assessment.findings]
     assert verdict(replace(assessment, findings=doubted)) == f"{verdict(assessment)} No parameter is trusted."
     first, *rest = assessment.predictions
-    worse = replace(
-        assessment, predictions=[replace(first, nominal=first.identified, identified=first.nominal), *rest]
-    )
+    worse = replace(assessment, predictions=[swapped(first), *rest])
     assert f" They are larger after {first.seconds:g} s." in verdict(worse)
     text = report(assessment, "none", ["one: vel2 is estimated from pos2"])
     assert "Identified from one (2 s), &lt;script&gt;two (2 s)." in text
@@ -690,15 +714,12 @@ def test_what_is_measured_is_seen_below_a_prediction_that_is_right(assessment: A
 
 @pytest.mark.slow
 def test_errors_of_many_states_are_drawn_in_rows() -> None:
-    wrong, none = (np.ones((2, 12)),), (np.zeros((2, 12, 12)),)
+    wrong, none = np.ones((2, 12)), np.zeros((2, 12, 12))
+    made = [HorizonErrors(0.1, (wrong,), (errors_with(share * wrong, none),)) for share in (1.0, 0.3)]
     twelve = SimpleNamespace(states=3 * cart_pole().states)
-    figure = plots.errors(SimpleNamespace(task=twelve, predictions=[HorizonErrors(0.1, wrong, wrong, none)]))  # type: ignore[arg-type]
+    figure, of_one_decade = (plots.errors(SimpleNamespace(task=twelve, predictions=[each])) for each in made)  # type: ignore[arg-type]
     assert [len(figure.axes), figure.axes[0].get_gridspec().ncols] == [12, 4]  # type: ignore[union-attr]
-    axes = plots.errors(  # of one decade
-        SimpleNamespace(  # type: ignore[arg-type]
-            task=twelve, predictions=[HorizonErrors(0.1, wrong, (0.3 * wrong[0],), none)]
-        )
-    ).axes[0]
+    axes = of_one_decade.axes[0]
     low, high = axes.get_ylim()
     assert sum(low <= tick <= high for tick in axes.get_yticks()) >= 2
 
