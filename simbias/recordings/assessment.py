@@ -180,7 +180,7 @@ def assess(
     posterior = study.identification
     assert isinstance(posterior, Posterior)
     all_parts = parts(recordings)
-    kept = Part.of("held-out recordings", held_out) if held_out else None
+    kept = Part("held-out recordings", held_out) if held_out else None
     judged = [kept] if kept else all_parts
     _check_length(posterior, [*all_parts, kept] if kept else all_parts)
 
@@ -191,11 +191,13 @@ def assess(
         assert isinstance(fitted, Identified)
         return fitted
 
-    everything = Part.of("all recordings", recordings)
+    everything = Part("all recordings", recordings)
     identified = fit(everything, everything.name)
     progress("in shorter steps")
     models_of = study.task, study.nominal, study.nominal_of
-    shorter = moved_by_shorter_steps(*models_of, posterior, identified, *everything[1:])
+    shorter = moved_by_shorter_steps(
+        *models_of, posterior, identified, everything.rollouts, everything.recordings
+    )
     alone = [fit(part, f"{part.name} alone") for part in all_parts]
     by_window = [
         fit(everything, f"with windows of {factor * posterior.window:g} s", factor)
@@ -284,7 +286,7 @@ def _with_own(
     nominal: Nominal,
     parts: Sequence[Part],
     progress: Callable[[str], object],
-) -> Iterator[tuple[Identified, tuple[Rollout, ...]]]:
+) -> Iterator[tuple[Identified, Sequence[Rollout]]]:
     """Each part's model, its specific parameters fitted to each of the part's recordings; others unchanged.
 
     None without specific parameters.
@@ -293,9 +295,7 @@ def _with_own(
     for model, part in zip(models, parts, strict=True) if own.any() else ():
         progress(f"what is specific to {part.name}")
         fitting = posterior.with_known(replace(model.known, spread=own.tolist()))
-        for name in dict.fromkeys(part.recordings):
-            pairs = zip(part.rollouts, part.recordings, strict=True)
-            pieces = tuple(rollout for rollout, each in pairs if each == name)
+        for name, pieces in part.pieces.items():
             fitted = fitting.fit(nominal, pieces, [name] * len(pieces))
             assert isinstance(fitted, Identified)
             yield fitted.with_spread(np.hstack([model.spread - own, fitted.spread])), pieces

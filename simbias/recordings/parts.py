@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import NamedTuple
@@ -16,14 +17,17 @@ class Part(NamedTuple):
     """Recordings that are held out together."""
 
     name: str
-    rollouts: tuple[Rollout, ...]  # their pieces
-    recordings: tuple[str, ...] = ()  # recording of each rollout; by default each is its own
+    pieces: Mapping[str, Sequence[Rollout]]  # of each recording, by its name
 
-    @staticmethod
-    def of(name: str, recordings: Mapping[str, Sequence[Rollout]]) -> Part:
-        """A part of whole recordings."""
-        pieces = [(each, rollout) for each, rollouts in recordings.items() for rollout in rollouts]
-        return Part(name, tuple(rollout for _, rollout in pieces), tuple(each for each, _ in pieces))
+    @property
+    def rollouts(self) -> list[Rollout]:
+        """All pieces."""
+        return [rollout for pieces in self.pieces.values() for rollout in pieces]
+
+    @property
+    def recordings(self) -> list[str]:
+        """The recording of each of the `rollouts`."""
+        return [name for name, pieces in self.pieces.items() for _ in pieces]
 
 
 def parts(recordings: Mapping[str, Sequence[Rollout]]) -> list[Part]:
@@ -33,12 +37,12 @@ def parts(recordings: Mapping[str, Sequence[Rollout]]) -> list[Part]:
         frames = sum(piece.frames for piece in pieces)
         cuts = pairwise(frames * i // PIECES for i in range(PIECES + 1))
         return [
-            Part.of(f"{name}, part {i}", {name: list(_between(pieces, *cut))})
+            Part(f"{name}, part {i}", {name: list(_between(pieces, *cut))})
             for i, cut in enumerate(cuts, start=1)
         ]
     names = list(recordings)
     dealt = [names[i::MOST_PARTS] for i in range(min(MOST_PARTS, len(names)))]
-    return [Part.of(" + ".join(each), {name: recordings[name] for name in each}) for each in dealt]
+    return [Part(" + ".join(each), {name: recordings[name] for name in each}) for each in dealt]
 
 
 def _between(pieces: Sequence[Rollout], begin: int, end: int) -> Iterator[Rollout]:
@@ -52,9 +56,8 @@ def _between(pieces: Sequence[Rollout], begin: int, end: int) -> Iterator[Rollou
 
 def others(all_parts: Sequence[Part], index: int) -> Part:
     """All parts except one, merged."""
-    rest = [part for i, part in enumerate(all_parts) if i != index]
-    return Part(
-        f"all but {all_parts[index].name}",
-        tuple(rollout for part in rest for rollout in part.rollouts),
-        tuple(name for part in rest for name in part.recordings),
-    )
+    merged = defaultdict[str, list[Rollout]](list)
+    for part in (*all_parts[:index], *all_parts[index + 1 :]):
+        for name, pieces in part.pieces.items():
+            merged[name] += pieces
+    return Part(f"all but {all_parts[index].name}", merged)

@@ -42,7 +42,7 @@ class Recordings(NamedTuple):
     @property
     def pieces(self) -> Part:
         """The pieces of all files."""
-        return Part.of("all recordings", self.rollouts)
+        return Part("all recordings", self.rollouts)
 
 
 def read_apart(

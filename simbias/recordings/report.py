@@ -58,6 +58,6 @@ def _parts(assessment: Assessment, excitation: Excitation | str, notes: Sequence
         f"Of the longest piece between gaps, at most the first {plots.DRAWN:g} s are shown."
     )
     for i, part in enumerate(assessment.judged[:MOST]):
-        of = f" ({', '.join(dict.fromkeys(part.recordings))})" if assessment.held_out else ""
+        of = f" ({', '.join(part.pieces)})" if assessment.held_out else ""
         yield paragraph(f"{part.name}{of}")
         yield picture(plots.forecasts(assessment, i), f"{part.name}: measured and predicted states")

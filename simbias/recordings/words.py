@@ -66,8 +66,8 @@ def sources(assessment: Assessment) -> str:
     def durations(parts: Iterable[Part]) -> str:
         frames = Counter[str]()
         for part in parts:
-            for name, rollout in zip(part.recordings, part.rollouts, strict=True):
-                frames[name] += rollout.frames
+            for name, pieces in part.pieces.items():
+                frames[name] += sum(piece.frames for piece in pieces)
         step = assessment.task.time_step
         return ", ".join(f"{name} ({step * count:.3g} s)" for name, count in frames.items())
 

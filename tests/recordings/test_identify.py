@@ -340,7 +340,7 @@ def test_a_single_recording_is_cut_into_thirds() -> None:
     assert all(len(piece.states) == piece.frames + 1 for piece in cut)
     assert [len(piece.with_history()[1]) for piece in cut] == [6, 12, 19]
     assert len(parts({str(i): cut[:1] for i in range(12)})) == 5
-    assert [part.recordings for part in parts({"one": cut, "two": cut[:1]})] == [("one",) * 3, ("two",)]
+    assert [part.recordings for part in parts({"one": cut, "two": cut[:1]})] == [["one"] * 3, ["two"]]
     again = [part.rollouts for part in parts({"one": cut[:2] + cut[:1]})]
     assert [sum(rollout.frames for rollout in each) for each in again] == [6, 6, 6]
 

@@ -123,7 +123,7 @@ def residual(rig: Rig, rollouts: Sequence[Rollout]) -> Learned:
 
 def identified(rig: Rig, rollouts: Sequence[Rollout]) -> Learned:
     """The posterior of the parameters."""
-    pieces = [Part("", (rollout,)) for rollout in rollouts]
+    pieces = [Part("", {"": (rollout,)}) for rollout in rollouts]
     apart = [
         fit(rig, others(pieces, i).rollouts).elsewhere() for i in range(len(rollouts) * (len(rollouts) > 1))
     ]
