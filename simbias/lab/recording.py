@@ -58,10 +58,7 @@ class Reader:
     """
 
     def __init__(self, task: Task, columns: Mapping[str, str]) -> None:
-        self._task = task
-        self._quantities = (*task.states, *task.inputs)
-        self._columns = columns
-        self._rates = rates_of(task)
+        self._task, self._columns = task, columns
 
     def read(self, path: Path, whole_lines: bool = False) -> Recording:
         """Read a file; an unterminated last line counts if it has all cells, or never with `whole_lines`.
@@ -72,69 +69,86 @@ class Reader:
             If it cannot be read or makes no sense; the message names the file in one line.
         """
         file = signals(path, [split_name(column)[0] for column in self._columns.values()], whole_lines)
-        notes: list[str] = []
-        found = self._signals(file, notes)
-        bounds = self._pieces(file, found, notes)
-        pieces, times = zip(*(self._piece(found, begin, end) for begin, end in bounds), strict=True)
-        measured_rates = {i: position for i, position in self._rates.items() if i in found}
-        check_rates(str(path), pieces, self._task, measured_rates)
-        late = late_rates(pieces, self._task, measured_rates)
-        notes += [
-            *self._late(late),
-            *self._beyond_limits(path, pieces),
-            *self._still(pieces),
-        ]
-        doubts = [*self._doubts(found, notes), *(["velocities lag behind their positions"] if late else [])]
-        return Recording(pieces, times, (*file.notes, *notes), tuple(doubts))
+        return _Reading(self._task, self._columns, file).recording()
 
-    def _signals(self, file: Signals, notes: list[str]) -> dict[int, Signal]:
+
+class _Reading:
+    """A file that is being read, with notes on it."""
+
+    def __init__(self, task: Task, columns: Mapping[str, str], file: Signals) -> None:
+        self._task, self._columns, self._file = task, columns, file
+        self._quantities, self._rates = (*task.states, *task.inputs), rates_of(task)
+        self._notes = [*file.notes]
+        self._found = self._signals()
+
+    def recording(self) -> Recording:
+        """The pieces, once they have been checked."""
+        pieces, times = zip(*(self._piece(begin, end) for begin, end in self._bounds()), strict=True)
+        measured_rates = {i: position for i, position in self._rates.items() if i in self._found}
+        check_rates(str(self._file.path), pieces, self._task, measured_rates)
+        late = late_rates(pieces, self._task, measured_rates)
+        self._notes += [*self._late(late), *self._beyond_limits(pieces), *self._still(pieces)]
+        doubts = [*self._doubts(), *(["velocities lag behind their positions"] if late else [])]
+        return Recording(pieces, times, tuple(self._notes), tuple(doubts))
+
+    def _signals(self) -> dict[int, Signal]:
         """Signals by index of states, then inputs, in the task's units and s; angles are unwound.
 
         A rate without a column is missing from the result.
         """
-        quantities = self._quantities
-        time, time_unit = self._named(file, "time")
-        lacking = [
-            name
-            for i, quantity in enumerate(quantities)
-            if not file.has(name := self._named(file, quantity.name)[0]) and i not in self._rates
-        ]
-        if lacking:
-            file.signal(lacking[0], time)  # raises: names what is missing
+        file, quantities = self._file, self._quantities
+        time, time_unit = self._named("time")
+        names = {i: self._named(quantity.name) for i, quantity in enumerate(quantities)}
+        for i, (name, _) in names.items():
+            if i not in self._rates and not file.has(name):
+                file.signal(name, time)  # raises: names what is missing
         found, same = {}, (0, 0)
         for i, quantity in enumerate(quantities):
-            name, unit = self._named(file, quantity.name)
+            name, unit = names[i]
             if i in self._rates and not file.has(name):
                 lacks = "" if name == quantity.name else f", as there is no column {quote(name)}"
-                notes.append(f"{quantity.name} is estimated from {quantities[self._rates[i]].name}{lacks}")
+                position = quantities[self._rates[i]].name
+                self._notes.append(f"{quantity.name} is estimated from {position}{lacks}")
                 continue
             signal = file.signal(name, time)
-            scale = _factor(file, quantity.name, unit or file.unit(name) or quantity.unit, quantity.unit)
-            second = _factor(file, "time", time_unit or file.unit(time) or "s", "s")
+            scale = self._factor(quantity.name, unit or file.unit(name) or quantity.unit, quantity.unit)
+            second = self._factor("time", time_unit or file.unit(time) or "s", "s")
             times, first = np.unique(signal.times * second, return_index=True)
             if len(times) < 2:
+                problem = f"column {name}: expected two samples at least, got {len(times)}"
                 if len(signal.times) > 1:
-                    raise HardwareError(
-                        f"{file.path}: column {time}: all {len(signal.times)} times are the same"
-                    )
-                raise HardwareError(
-                    f"{file.path}: column {name}: expected two samples at least, got {len(times)}"
-                )
+                    problem = f"column {time}: all {len(signal.times)} times are the same"
+                raise HardwareError(f"{file.path}: {problem}")
             same = max(same, (len(signal.times) - len(times), len(signal.times)))
             found[i] = Signal(times, signal.values[first] * scale, signal.places[first])
             if i < len(self._task.states) and quantity.unit in TURNS:
-                found[i] = found[i]._replace(values=self._unwound(file, name, quantity, found[i], notes))
+                found[i] = found[i]._replace(values=self._unwound(name, quantity, found[i]))
         if same[0] > SAME * same[1]:
             text = f"{same[0]} of {same[1]} samples have the same time as the previous one"
-            notes.append(f"{text}; only the first of each time counts")
-        self._check_period(file, found, bool(time_unit or file.unit(time)))
+            self._notes.append(f"{text}; only the first of each time counts")
+        frame, has_unit = self._task.time_step, bool(time_unit or file.unit(time))
+        if (usual := min(map(_period, found.values()))) > (RAREST_OF_UNIT if has_unit else RAREST) * frame:
+            raise HardwareError(
+                f"{file.path}: expected samples about every {frame:g} s, got one every {usual:.3g} s: "
+                f"is the time in another unit?{'' if has_unit else ' Name the unit, as in `time [ms]`'}"
+            )
         return found
 
-    def _unwound(
-        self, file: Signals, column: str, angle: Quantity, signal: Signal, notes: list[str]
-    ) -> Array:
+    def _named(self, quantity: str) -> tuple[str, str]:
+        """The name of a quantity's column, and the unit given after it, if the file's own name has none."""
+        column = self._columns[quantity]
+        return (column, "") if self._file.has(column) else split_name(column)
+
+    def _factor(self, name: str, unit: str, wanted: str) -> float:
+        """The factor from a quantity's unit in the file to the wanted one."""
+        try:
+            return factor(unit, wanted)
+        except ValueError as error:
+            raise HardwareError(f"{self._file.path}: {name}: {words(error)}") from error
+
+    def _unwound(self, column: str, angle: Quantity, signal: Signal) -> Array:
         """The angle's values (k,) without jumps by a turn between gaps; larger jumps are refused."""
-        turn, values = TURNS[angle.unit], signal.values
+        file, turn, values = self._file, TURNS[angle.unit], signal.values
         steps, begins = np.diff(values), self._begins(signal)
         steps[begins - 1] = 0.0
         if len(jumps := np.flatnonzero(np.abs(steps) > MOST_TURNS * turn)):
@@ -147,21 +161,14 @@ class Reader:
         runs = np.split(values, begins)
         unwound = np.concatenate([np.unwrap(run, period=turn) for run in runs])
         if not np.array_equal(unwound, values):
-            notes.append(f"{angle.name} was wrapped, and is unwrapped")
+            self._notes.append(f"{angle.name} was wrapped, and is unwrapped")
         return unwound
 
-    def _named(self, file: Signals, quantity: str) -> tuple[str, str]:
-        """The name of a quantity's column, and the unit given after it, if the file's own name has none."""
-        column = self._columns[quantity]
-        return (column, "") if file.has(column) else split_name(column)
-
-    def _pieces(
-        self, file: Signals, found: Mapping[int, Signal], notes: list[str]
-    ) -> list[tuple[float, float]]:
+    def _bounds(self) -> list[tuple[float, float]]:
         """Start and end times of pieces, in which every signal continues without gap, reset or jump."""
         pieces, frame, longest = [(-np.inf, np.inf)], self._task.time_step, np.inf
-        runs_of, jumps_of = dict[int, list[tuple[float, float]]](), self._jumps(file, found, notes)
-        for i, signal in found.items():
+        runs_of, jumps_of = dict[int, list[tuple[float, float]]](), self._jumps()
+        for i, signal in self._found.items():
             begins = self._begins(signal)
             if i in jumps_of:
                 begins = np.union1d(begins, jumps_of[i])
@@ -173,36 +180,20 @@ class Reader:
             problem = f"expected at least one frame of {frame:g} s, got {longest:.3g} s"
             if longest >= frame:
                 problem = "its columns have no frame in common"
-            raise HardwareError(f"{file.path}: {problem}")
+            raise HardwareError(f"{self._file.path}: {problem}")
         if len(pieces) > 1:
             seconds = ", ".join(f"{b - a:.2f} s" for a, b in pieces[:MOST_TOLD])
             seconds += ", ..." * (len(pieces) > MOST_TOLD)
-            gaps = {self._quantities[i].name: len(self._begins(signal)) for i, signal in found.items()}
+            gaps = {self._quantities[i].name: len(self._begins(each)) for i, each in self._found.items()}
             names = ", ".join(name for name, count in gaps.items() if count > min(gaps.values()))
             alone = f"; columns with gaps of their own: {names}" if names else ""
-            notes.append(f"gaps, resets or jumps leave {len(pieces)} pieces: {seconds}{alone}")
-        notes += self._left_out(found, runs_of, pieces[0][0], pieces[-1][1])
+            self._notes.append(f"gaps, resets or jumps leave {len(pieces)} pieces: {seconds}{alone}")
+        self._note_ends(runs_of, pieces[0][0], pieces[-1][1])
         return pieces
 
-    def _doubts(self, found: Mapping[int, Signal], notes: list[str]) -> Iterator[str]:
-        """Reasons not to trust parameters identified from these signals; remedies go into `notes`."""
-        frame = self._task.time_step
-        if frame > COARSE and not self._rates.keys() <= found.keys():
-            yield f"velocities are estimated in frames of {frame:g} s"
-        period = max(_period(found[i]) for i in found if i < len(self._task.states))
-        if period > SPARSE * frame:
-            doubt = f"states are measured every {period:.3g} s, in frames of {frame:g} s"
-            notes.append(f"{doubt}: set task.time_step={period:.2g}")
-            yield doubt
-
-    def _left_out(
-        self,
-        found: Mapping[int, Signal],
-        runs_of: Mapping[int, list[tuple[float, float]]],
-        begin: float,
-        end: float,
-    ) -> Iterator[str]:
-        """Notes on data left out before `begin` and after `end`, where runs of some signals end."""
+    def _note_ends(self, runs_of: Mapping[int, list[tuple[float, float]]], begin: float, end: float) -> None:
+        """Note what is left out before `begin` and after `end`, where runs of some signals end."""
+        found = self._found
         before = begin - min(signal.times[0] for signal in found.values())
         after = max(signal.times[-1] for signal in found.values()) - end
         for side, which, at, seconds in ((0, "first", begin, before), (1, "last", end, after)):
@@ -210,20 +201,11 @@ class Reader:
             # If all signals end there, none of them is the cause.
             if len(lacking) < len(found) and seconds > max(self._gap(found[i]) for i in lacking):
                 names = ", ".join(self._quantities[i].name for i in lacking)
-                yield f"the {which} {seconds:.3g} s lack {names}, and are left out"
+                self._notes.append(f"the {which} {seconds:.3g} s lack {names}, and are left out")
 
-    def _check_period(self, file: Signals, found: Mapping[int, Signal], has_unit: bool) -> None:
-        """Refuse times in which even the most frequent samples are far apart."""
-        usual, frame = min(map(_period, found.values())), self._task.time_step
-        if usual > (RAREST_OF_UNIT if has_unit else RAREST) * frame:
-            raise HardwareError(
-                f"{file.path}: expected samples about every {frame:g} s, got one every {usual:.3g} s: "
-                f"is the time in another unit?{'' if has_unit else ' Name the unit, as in `time [ms]`'}"
-            )
-
-    def _jumps(self, file: Signals, found: Mapping[int, Signal], notes: list[str]) -> dict[int, Indices]:
+    def _jumps(self) -> dict[int, Indices]:
         """Samples of states that their rates do not explain, between gaps; all are reported."""
-        each = dict[int, Indices]()
+        found, each = self._found, dict[int, Indices]()
         for rate, i in self._rates.items():
             if rate in found:
                 times, values, _ = found[i]
@@ -232,8 +214,8 @@ class Reader:
         at = sorted({float(found[i].places[j]) for i, samples in each.items() for j in samples})
         if at:
             names = ", ".join(self._quantities[i].name for i, samples in each.items() if len(samples))
-            jump = f"{names}: a jump at {file.places(at)}"
-            notes.append(f"{jump}, more than velocities imply: are rows lost or doubled?")
+            jump = f"{names}: a jump at {self._file.places(at)}"
+            self._notes.append(f"{jump}, more than velocities imply: are rows lost or doubled?")
         return each
 
     def _begins(self, signal: Signal) -> Indices:
@@ -244,12 +226,12 @@ class Reader:
         """The interval in s without samples that makes a gap in a signal."""
         return max(GAP * _period(signal), FEWEST_FRAMES * self._task.time_step)
 
-    def _piece(self, found: Mapping[int, Signal], begin: float, end: float) -> tuple[Rollout, Array]:
+    def _piece(self, begin: float, end: float) -> tuple[Rollout, Array]:
         """A piece in the task's frames, and the times at which its first state was measured.
 
         States are linear between samples. Inputs are held from each sample to the next one.
         """
-        task, n = self._task, len(self._task.states)
+        task, found, n = self._task, self._found, len(self._task.states)
         frames = int((end - begin) / task.time_step + 1e-9)
         at = begin + task.time_step * np.arange(frames + 1)
         columns = {i: np.interp(at, found[i].times, found[i].values) for i in range(n) if i in found}
@@ -275,13 +257,13 @@ class Reader:
         rate: Array = savgol_filter(values, width, min(degree, width - 1), deriv=1, delta=h)
         return rate
 
-    def _beyond_limits(self, path: Path, pieces: Sequence[Rollout]) -> list[str]:
+    def _beyond_limits(self, pieces: Sequence[Rollout]) -> list[str]:
         """Notes on inputs beyond their limits; those far beyond are refused."""
         inputs, notes = np.abs(np.concatenate([piece.inputs for piece in pieces])), []
         for each, values, limit in zip(self._task.inputs, inputs.T, self._task.input_limit, strict=True):
             text = f"{each.unit}, beyond the limit of {limit:g} {each.unit}"
             if (usual := np.quantile(values, MOSTLY)) > TWICE * limit:
-                column = f"{path}: column {self._columns[each.name]}"
+                column = f"{self._file.path}: column {self._columns[each.name]}"
                 raise HardwareError(
                     f"{column}: {each.name} reaches {usual:.3g} {text}: is a unit or a column wrong?"
                 )
@@ -304,13 +286,16 @@ class Reader:
                 lacks = "nothing is learned about its motion" if i < len(self._task.states) else of_motor
                 yield f"{quantity.name} never changes, so {lacks}"
 
-
-def _factor(file: Signals, name: str, unit: str, wanted: str) -> float:
-    """The factor from a quantity's unit in a file to the wanted one."""
-    try:
-        return factor(unit, wanted)
-    except ValueError as error:
-        raise HardwareError(f"{file.path}: {name}: {words(error)}") from error
+    def _doubts(self) -> Iterator[str]:
+        """Reasons not to trust parameters identified from these signals; remedies are noted."""
+        frame, n = self._task.time_step, len(self._task.states)
+        if frame > COARSE and not self._rates.keys() <= self._found.keys():
+            yield f"velocities are estimated in frames of {frame:g} s"
+        period = max(_period(signal) for i, signal in self._found.items() if i < n)
+        if period > SPARSE * frame:
+            doubt = f"states are measured every {period:.3g} s, in frames of {frame:g} s"
+            self._notes.append(f"{doubt}: set task.time_step={period:.2g}")
+            yield doubt
 
 
 def _period(signal: Signal) -> float:
