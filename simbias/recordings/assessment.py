@@ -210,6 +210,9 @@ def assess(
         declared = posterior.with_known(None)
         apart = [earlier, fit(everything, "without the earlier posterior", begin=declared)]
     found = findings(identified, alone, by_window, 0.0 if shorter is None else shorter.max(axis=0), apart)
+    if posterior.known and posterior.known.doubts:
+        doubted = zip(found, posterior.known.doubts, strict=True)
+        found = [replace(each, earlier=tuple(doubts)) for each, doubts in doubted]
     rest = [others(all_parts, i) for i in range(len(all_parts))]
     if kept:
         models = [identified]
@@ -227,7 +230,7 @@ def assess(
         all_parts,
         kept,
         models,
-        _with_earlier(found, posterior.known),
+        found,
         own_findings(list(recordings), identified, by_window, shorter),
         predictions(study.task, study.nominal, models, [part.rollouts for part in judged], learned, own),
         mistakes(study.task, [study.nominal, identified], _named_apart(recordings, held_out or {})),
@@ -246,14 +249,6 @@ def _named_apart(
 ) -> dict[str, Sequence[Rollout]]:
     """All recordings; a held-out one that has another's name is told by it."""
     return {**recordings, **{n + ", held out" * (n in recordings): each for n, each in held_out.items()}}
-
-
-def _with_earlier(found: list[Finding], known: Known | None) -> list[Finding]:
-    """Findings with the doubts of an earlier posterior, if it has any."""
-    if not known or not known.doubts:
-        return found
-    pairs = zip(found, known.doubts, strict=True)
-    return [replace(each, earlier=tuple(doubts)) for each, doubts in pairs]
 
 
 def _learned(

@@ -8,13 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from simbias.core import Hardware, Policy, Task, Waiting
+from simbias.core import Hardware, HardwareError, Policy, Task, Waiting
 from simbias.core.records import Array, Iteration, Optimum, Rollout
 from simbias.lab.checked_hardware import MakeExperiment
 from simbias.lab.checks import check_rollout
 from simbias.lab.rates import check_rates, rates_of
 from simbias.lab.requests.measurements import tell_other_commands
-from simbias.lab.requests.request import ExperimentRequest, refuse_copy
+from simbias.lab.requests.request import ExperimentRequest
 from simbias.lab.safety import without_limits
 from simbias.lab.targets import WithTargets, beside
 from simbias.trial.replay import EndOfRecord, Record
@@ -64,7 +64,10 @@ class AskTell:
         for number, (asked, each) in enumerate(self._answers, 1):
             if np.array_equal(each.states, checked.states) and np.array_equal(each.inputs, checked.inputs):
                 before, now = asked.content(), request.content()
-                refuse_copy(SOURCE, now["policy"], f"that of experiment {number}", before["policy"])
+                if before["policy"] != now["policy"]:
+                    raise HardwareError(
+                        f"{SOURCE}: is the answer to another request, that of experiment {number}"
+                    )
                 if before != now:  # a noise-free robot may ignore the requested start
                     logging.getLogger(__name__).warning(AGAIN, SOURCE, number)
         self._answers.append((request, checked))

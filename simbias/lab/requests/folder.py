@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from simbias.core import HardwareError
 from simbias.core.errors import ConfigError
 from simbias.lab.checks import START_DEVIATIONS, start_tolerance
-from simbias.lab.requests.request import HEADER, MODULE, ExperimentRequest, refuse_copy
+from simbias.lab.requests.request import HEADER, MODULE, ExperimentRequest
 from simbias.lab.requests.trajectory import template
 
 TRAJECTORY = "trajectory.csv"  # the answer to a request
@@ -103,11 +104,11 @@ def mark_withdrawn(trajectory: Path, words: str) -> None:
 
 
 def refuse_copied_file(trajectory: Path) -> None:
-    """Refuse a copy of the trajectory of another request; errors as for `refuse_copy`."""
+    """Refuse a copy of the answer to a different request: a HardwareError names the other file."""
     own = trajectory.read_bytes()
     for other in sorted(trajectory.parent.parent.glob(f"*_*/{TRAJECTORY}")):
-        if other.read_bytes() == own:
-            refuse_copy(str(trajectory), _asked(trajectory), str(other), _asked(other))
+        if other.read_bytes() == own and _asked(other) != _asked(trajectory):
+            raise HardwareError(f"{trajectory}: is the answer to another request, {other}")
 
 
 def _asked(trajectory: Path) -> dict[str, Any]:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from simbias.core import Controller, HardwareError, Policy, Quantity, Task
+from simbias.core import Controller, Policy, Quantity, Task
 from simbias.core.digest import short_digest
 from simbias.core.records import Array
 from simbias.lab.checks import start_tolerance
@@ -138,18 +138,6 @@ class ExperimentRequest:
 def _written(task: Task, law: Formulas, title: str, bounds: Bounds) -> tuple[str, str]:
     """The law in C and in Python."""
     return c_header(task, law, title, bounds), python_module(task, law, title, bounds)
-
-
-def refuse_copy(source: str, asked: Mapping[str, Any], other: str, content: Mapping[str, Any]) -> None:
-    """Refuse an answer identical to another one that answered a different request.
-
-    Raises
-    ------
-    HardwareError
-        If so; the message names the other one in one line.
-    """
-    if content != asked:
-        raise HardwareError(f"{source}: is the answer to another request, {other}")
 
 
 def _named(quantities: Sequence[Quantity]) -> list[dict[str, Any]]:

@@ -117,7 +117,7 @@ class Posterior(Identification):
         check_signals(task, self._motors, self._sensors)
         self._chunks = chunks
         self._set_window(window)
-        self._known = known
+        self.known = known  # the earlier posterior that is its prior
         self._starts = starts
         self._rounds = rounds
         self._evaluations = evaluations
@@ -151,15 +151,10 @@ class Posterior(Identification):
         other._smoothing, other._differences = options["smoothing"], options["differences"]
         return other
 
-    @property
-    def known(self) -> Known | None:
-        """The earlier posterior that is its prior; None without one."""
-        return self._known
-
     def with_known(self, known: Known | None) -> Posterior:
         """A copy that begins with an earlier posterior, or with the declared prior."""
         other = copy(self)
-        other._known = known
+        other.known = known
         return other
 
     def windows(self, rollouts: Sequence[Rollout], recordings: Sequence[str] = ()) -> Windows:
@@ -194,7 +189,7 @@ class Posterior(Identification):
 
     def known_prior(self, nominal: Nominal) -> KnownPrior | None:
         """The nominal model with the earlier posterior as its prior; None without one."""
-        return None if self._known is None else KnownPrior(self.prior(nominal), self._known)
+        return None if self.known is None else KnownPrior(self.prior(nominal), self.known)
 
     def prior(self, nominal: Nominal) -> Nominal:
         """The nominal model, with the parameters of uncertain motors and sensors."""
