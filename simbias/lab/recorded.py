@@ -68,29 +68,23 @@ class Recorded(Hardware):
         ConfigError
             If there is none, it cannot be read, or it has a gap.
         """
-        place = place_of(rng)[:2]  # a random experiment's place is one level deeper
+        place, files = place_of(rng)[:2], self.files  # a random experiment's place is one level deeper
+        if not files:
+            raise ConfigError("", f"no recording ({', '.join(CSV)}) is in {self._folder}")
         try:
-            files = self.files
             return self.rollout(files[[0, *place][-1] % len(files)])
         except HardwareError as error:  # bad input, not the robot's fault
             raise ConfigError("", words(error)) from error
 
     @property
     def files(self) -> list[str]:
-        """The recordings, in order."""
-        if not (files := self._named):
-            raise HardwareError(f"no recording ({', '.join(CSV)}) is in {self._folder}")
-        return files
+        """The recordings, in order: the given file names, or those of the folder's CSV files."""
+        return self._files or sorted(path.name for path in self._folder.glob("*") if path.name.endswith(CSV))
 
     @property
     def source_files(self) -> list[Path]:
         """The existing files of the recordings."""
-        return [path for name in sorted(self._named) if (path := self._folder / name).is_file()]
-
-    @property
-    def _named(self) -> list[str]:
-        """The given file names, or those of the folder's CSV files."""
-        return self._files or sorted(path.name for path in self._folder.glob("*") if path.name.endswith(CSV))
+        return [path for name in sorted(self.files) if (path := self._folder / name).is_file()]
 
     def rollout(self, file: str) -> Rollout:
         """A recording in the task's frames, up to its horizon.

@@ -83,7 +83,8 @@ class _Reading:
 
     def recording(self) -> Recording:
         """The pieces, once they have been checked."""
-        pieces, times = zip(*(self._piece(begin, end) for begin, end in self._bounds()), strict=True)
+        bounds = enumerate(self._bounds())
+        pieces, times = zip(*(self._piece(begin, end, i > 0) for i, (begin, end) in bounds), strict=True)
         measured_rates = {i: position for i, position in self._rates.items() if i in self._found}
         check_rates(str(self._file.path), pieces, self._task, measured_rates)
         late = late_rates(pieces, self._task, measured_rates)
@@ -226,7 +227,7 @@ class _Reading:
         """The interval in s without samples that makes a gap in a signal."""
         return max(GAP * _period(signal), FEWEST_FRAMES * self._task.time_step)
 
-    def _piece(self, begin: float, end: float) -> tuple[Rollout, Array]:
+    def _piece(self, begin: float, end: float, continues: bool) -> tuple[Rollout, Array]:
         """A piece in the task's frames, and the times at which its first state was measured.
 
         States are linear between samples. Inputs are held from each sample to the next one.
@@ -243,7 +244,7 @@ class _Reading:
         inputs = np.array([_held(each, begin, task.time_step, frames) for each in signals_of_inputs]).T
         times = found[min(found)].times  # of the first state with a column
         inside = times[(times >= begin) & (times <= at[-1] + NEAR * task.time_step)] - begin
-        return Rollout(states, inputs, measured=states, sensed=True), inside
+        return Rollout(states, inputs, measured=states, sensed=True, continues=continues), inside
 
     def _rate(self, values: Array) -> Array:
         """The derivative (k,) of values (k,), from polynomials fitted around each frame."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,7 +13,7 @@ from simbias.core.errors import ConfigError, reason
 from simbias.core.messages import counted, words
 from simbias.core.records import Array, Rollout
 from simbias.lab.recorded import CSV, Recorded
-from simbias.lab.recording import Reader, Recording
+from simbias.lab.recording import Reader
 from simbias.lab.signals import BAGS
 from simbias.learning.identification.posterior import Posterior
 from simbias.recordings.copies import Digest, copied, digests, new
@@ -103,7 +102,7 @@ def read(
             recording = reader.read(file, whole_lines=True)
         except HardwareError as error:
             raise ConfigError("", words(error)) from error
-        whole = left = _numbered(recording)
+        whole = left = [*zip(recording.pieces, recording.times, strict=True)]
         for note, known in {**(already or {}), SAME: seen}.items():
             before, left = left, []
             for each in before:
@@ -156,12 +155,6 @@ def _needed(study: Study, windows: float) -> Posterior | None:
     if not windows or not isinstance(posterior, Posterior):
         return None
     return posterior.with_window(windows * posterior.window)
-
-
-def _numbered(recording: Recording) -> list[tuple[Rollout, Array]]:
-    """The pieces between gaps, and their sample times; all but the first continue."""
-    pairs = zip(recording.pieces, recording.times, strict=True)
-    return [(replace(piece, continues=i > 0), times) for i, (piece, times) in enumerate(pairs)]
 
 
 def _new(
