@@ -187,9 +187,7 @@ def assess(
     def fit(part: Part, words: str, window: float = 1.0, begin: Posterior = posterior) -> Identified:
         progress(words)
         fitting = begin.with_window(window * posterior.window)
-        fitted = fitting.fit(study.nominal, part.rollouts, part.recordings)
-        assert isinstance(fitted, Identified)
-        return fitted
+        return fitting.identified(study.nominal, part.rollouts, part.recordings)
 
     everything = Part("all recordings", recordings)
     identified = fit(everything, everything.name)
@@ -205,10 +203,8 @@ def assess(
     ]
     apart = list[Identified]()
     if posterior.known:
-        earlier = posterior.fit(study.nominal, [])
-        assert isinstance(earlier, Identified)
-        declared = posterior.with_known(None)
-        apart = [earlier, fit(everything, "without the earlier posterior", begin=declared)]
+        without_it = fit(everything, "without the earlier posterior", begin=posterior.with_known(None))
+        apart = [posterior.identified(study.nominal, []), without_it]
     found = findings(identified, alone, by_window, 0.0 if shorter is None else shorter.max(axis=0), apart)
     if posterior.known and posterior.known.doubts:
         doubted = zip(found, posterior.known.doubts, strict=True)
@@ -291,8 +287,7 @@ def _with_own(
         progress(f"what is specific to {part.name}")
         fitting = posterior.with_known(replace(model.known, spread=own.tolist()))
         for name, pieces in part.pieces.items():
-            fitted = fitting.fit(nominal, pieces, [name] * len(pieces))
-            assert isinstance(fitted, Identified)
+            fitted = fitting.identified(nominal, pieces, [name] * len(pieces))
             yield fitted.with_spread(np.hstack([model.spread - own, fitted.spread])), pieces
 
 

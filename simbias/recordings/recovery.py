@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from simbias.core.errors import ConfigError
 from simbias.core.records import Array, Rollout
-from simbias.learning.identification.identified import QUANTILE, Identified
+from simbias.learning.identification.identified import QUANTILE
 from simbias.learning.identification.posterior import Posterior
 from simbias.recordings.findings import Finding, findings
 from simbias.simulation.open_loop import PredictionModel, Windows, predict
@@ -62,8 +62,7 @@ def recover(
     """
     posterior = study.identification
     assert isinstance(posterior, Posterior)
-    prior = posterior.fit(study.nominal, [])
-    known = prior if isinstance(prior, Identified) else Identified.of_prior(prior)
+    known = posterior.identified(study.nominal, [])
     (rng,) = np.random.default_rng(study.seed).spawn(1)  # the search for the mode uses the stream itself
     parameters = known.parameters
     own = np.array([parameter.of_recording for parameter in parameters], bool)
@@ -80,8 +79,7 @@ def recover(
         rollouts = [rollout for _, rollout in made]
         if not rollouts or not len(posterior.windows(rollouts)):
             continue
-        fitted = posterior.fit(study.nominal, rollouts, [name for name, _ in made])
-        assert isinstance(fitted, Identified)
+        fitted = posterior.identified(study.nominal, rollouts, [name for name, _ in made])
         first = fitted.of_recording(0)
         true.append(drawn[made[0][0]])
         modes.append(first.mode)

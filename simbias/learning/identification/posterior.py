@@ -187,6 +187,13 @@ class Posterior(Identification):
         fitted = self._fit(prior, rollouts, recordings)
         return prior.posterior(fitted if isinstance(fitted, Identified) else None)
 
+    def identified(
+        self, nominal: Nominal, rollouts: Sequence[Rollout], recordings: Sequence[str] = ()
+    ) -> Identified:
+        """As `fit`; without a whole window, a declared prior is the posterior."""
+        fitted = self.fit(nominal, rollouts, recordings)
+        return fitted if isinstance(fitted, Identified) else Identified.of_prior(fitted)
+
     def known_prior(self, nominal: Nominal) -> KnownPrior | None:
         """The nominal model with the earlier posterior as its prior; None without one."""
         return None if self.known is None else KnownPrior(self.prior(nominal), self.known)
