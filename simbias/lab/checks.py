@@ -68,12 +68,11 @@ def check_rollout(
                 f"cannot begin at the start that it is given, set sets_start to False"
             )
     failed_at, failure = _frame(rollout.failed_at, f"{source}: failed_at"), rollout.failure
+    checked = Rollout(states, inputs, measured=measured, sensed=bool(rollout.sensed))
     ends = np.flatnonzero(task.violated(states[1:]) >= 0)
     if failed_at is None and not rollout.sensed and len(ends):
         failed_at = k = int(ends[0]) + 1  # a custom class may not have checked failures
-        failure = task.failure(states[k])
-        states, inputs = states[: k + 1], inputs[:k]
-        measured = None if measured is None else measured[: k + 1]
+        checked, failure = checked.part(0, k), task.failure(states[k])
     if failed_at is None and k < T:
         raise HardwareError(
             f"{source}: ended after {k} of {T} frames without a failure; report one in failed_at and failure"
@@ -81,8 +80,8 @@ def check_rollout(
     if failed_at not in (None, k):
         raise HardwareError(f"{source}: failed_at: expected {k}, the last frame, got {failed_at}")
     failure = _failure(failure, failed_at, f"{source}: failure")
-    checked = Rollout(states, inputs, failed_at, failure, measured=measured, sensed=bool(rollout.sensed))
-    checked = replace(checked, source=rollout.source and str(rollout.source))
+    file = rollout.source and str(rollout.source)
+    checked = replace(checked, failed_at=failed_at, failure=failure, source=file)
     return checked if bounds is None else hold(checked, task, bounds, source)
 
 
