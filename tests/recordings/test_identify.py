@@ -122,6 +122,11 @@ def with_errors(one: HorizonErrors, wrong: Iterable[Array]) -> HorizonErrors:
     return replace(one, identified=tuple(each._replace(errors=errors) for each, errors in pairs))
 
 
+def enlarged(one: HorizonErrors, times: float) -> HorizonErrors:
+    """With larger errors of the identified models."""
+    return with_errors(one, [times * each.errors for each in one.identified])
+
+
 def swapped(one: HorizonErrors) -> HorizonErrors:
     """With the errors of the nominal model and of the identified ones in place of each other."""
     return replace(with_errors(one, one.nominal), nominal=tuple(each.errors for each in one.identified))
@@ -138,9 +143,7 @@ def test_errors_that_noise_and_uncertainty_do_not_explain_are_told(assessment: A
     few = own._replace(errors=wrong[:9], spreads=spread[:9])
     assert np.isnan(HorizonErrors(0.5, (wrong,), (few,)).unexplained())
     assert "explain" not in verdict(assessment)
-    larger = [
-        with_errors(one, [3 * each.errors for each in one.identified]) for one in assessment.predictions
-    ]
+    larger = [enlarged(one, 3.0) for one in assessment.predictions]
     lacking = replace(assessment, predictions=larger).doubted()
     still = replace(assessment.study, task=pendulum("task.failure.speed.above=0.1").task)
     said = r" Errors after \S+ s are [34]\.\d times what measurement noise and intervals explain: "
@@ -155,7 +158,7 @@ def test_errors_that_noise_and_uncertainty_do_not_explain_are_told(assessment: A
     assert " No parameter is trusted." in verdict(lacking)
     assert not parameters(lacking)["trusted"].any()
     assert "is a unit wrong?" not in verdict(replace(lacking, study=still))
-    far = [with_errors(one, [9 * each.errors for each in one.identified]) for one in larger]
+    far = [enlarged(one, 9.0) for one in larger]
     for fitted, asks in ((lacking.study, False), (still, True)):
         assert ("is a unit wrong?" in verdict(replace(lacking, study=fitted, predictions=far))) == asks
     no_better = replace(assessment, predictions=[*map(swapped, larger)]).doubted()
@@ -280,9 +283,7 @@ def test_what_is_advised_may_help(assessment: Assessment) -> None:
     assert rest.endswith(
         ": measure what you can in other ways (masses by weighing or with another load), and declare it."
     )
-    lacking = [
-        replace(one, identified=tuple(9 * e for e in one.identified)) for one in assessment.predictions
-    ]
+    lacking = [enlarged(one, 9.0) for one in assessment.predictions]
     for wrong in ({"predictions": lacking}, {"mistakes": [Mistake("x", 0.5, [])]}):
         incomplete = replace(assessment, by_window={0.2: 0.1}, **wrong)  # type: ignore[arg-type]
         assert [*advice(incomplete, useful)] == [
