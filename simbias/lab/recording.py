@@ -260,16 +260,21 @@ class _Reading:
 
     def _beyond_limits(self, pieces: Sequence[Rollout]) -> list[str]:
         """Notes on inputs beyond their limits; those far beyond are refused."""
-        inputs, notes = np.abs(np.concatenate([piece.inputs for piece in pieces])), []
-        for each, values, limit in zip(self._task.inputs, inputs.T, self._task.input_limit, strict=True):
-            text = f"{each.unit}, beyond the limit of {limit:g} {each.unit}"
-            if (usual := np.quantile(values, MOSTLY)) > TWICE * limit:
-                column = f"{self._file.path}: column {self._columns[each.name]}"
+        inputs, notes = np.concatenate([piece.inputs for piece in pieces]), []
+        for each, values, lower, upper in zip(
+            self._task.inputs, inputs.T, *self._task.input_bounds, strict=True
+        ):
+            limit = max(-lower, upper)
+            if (usual := np.quantile(np.abs(values), MOSTLY)) > TWICE * limit:
                 raise HardwareError(
-                    f"{column}: {each.name} reaches {usual:.3g} {text}: is a unit or a column wrong?"
+                    f"{self._file.path}: column {self._columns[each.name]}: {each.name} reaches {usual:.3g} "
+                    f"{each.unit}, beyond the limit of {limit:g} {each.unit}: is a unit or a column wrong?"
                 )
-            if (most := values.max()) > TOLERANCE * limit:
-                notes.append(f"{each.name} reaches {most:.3g} {text} (means over frames)")
+            over, under = values.max() - upper, lower - values.min()
+            if max(over, under) > (TOLERANCE - 1.0) * limit:
+                most, bound = (values.max(), upper) if over > under else (values.min(), lower)
+                text = f"{most:.3g} {each.unit}, beyond the limit of {bound:g} {each.unit}"
+                notes.append(f"{each.name} reaches {text} (means over frames)")
         return notes
 
     def _late(self, delays: Mapping[int, float]) -> Iterator[str]:

@@ -67,7 +67,9 @@ def mistakes(
     since a sign is wrong relative to the others.
     """
     judged = {n: each for n, each in recordings.items() if horizons(task, max(r.frames for r in each))}
-    left, found = changes(task) if judged else [], list[Mistake]()
+    left, found = changes(task), list[Mistake]()
+    if not judged:
+        return found
 
     def errors(rollouts: Sequence[Rollout]) -> Array:
         return np.array([over_changes(task, model, rollouts) for model in models])

@@ -12,6 +12,7 @@ from errors import one_line
 from pendulum import experiment, pendulum
 from point_mass import PointMass
 
+import simbias
 from simbias.core import HardwareError
 from simbias.core.errors import ConfigError
 from simbias.core.records import Rollout
@@ -401,6 +402,16 @@ def test_inputs_beyond_their_limits_are_told_or_refused(
     assert any(re.fullmatch(said, note) for note in found.notes)
     with one_line(r"one\.csv: column I1: tau1 reaches \S+ N m, beyond the limit of", HardwareError):
         read(table.assign(I1=1e3 * table["tau1"]).drop(columns="tau1"), tau1="I1")
+
+
+def test_a_rotor_that_pulls_is_beyond_its_lower_limit(tmp_path: Path) -> None:
+    task = simbias.load(["preset=quadrotor_square"]).task
+    columns = {name: name for name in ("time", *(each.name for each in (*task.states, *task.inputs)))}
+    rows = pd.DataFrame(0.0, index=range(50), columns=list(columns)).assign(time=0.01 * np.arange(50))
+    for pull, said in ((-1.0, ["left reaches -1 N, beyond the limit of 0 N (means over frames)"]), (0.0, [])):
+        rows.assign(left=pull).to_csv(tmp_path / "one.csv", index=False)
+        notes = Reader(task, columns).read(tmp_path / "one.csv").notes
+        assert [note for note in notes if "limit" in note] == said
 
 
 def test_a_column_is_of_one_quantity_and_one_column(
