@@ -260,15 +260,39 @@ class RunExport(Export):
         metrics: Sequence[Point],
         again: bool = False,
     ) -> None:
-        """Write numbers and texts, after files that are missing or differ in size (all files if `again`)."""
+        """Write texts and numbers, which appear last and in their order.
+
+        Before, write files that are missing or differ in size; all files if `again`.
+        """
+        from mlflow.entities import Metric, Param, RunTag
+
+        client, run_id = self.runs.client, run.info.run_id
         known, self._uploaded = self._uploaded, None  # looked up again after a failure
         if known is None:
             folders = {name.rpartition("/")[0] for name in files} if pages.NOTE in run.data.tags else ()
-            listed = (self.runs.client.list_artifacts(run.info.run_id, folder or None) for folder in folders)
+            listed = (client.list_artifacts(run_id, folder or None) for folder in folders)
             known = {file.path: file.file_size for some in listed for file in some}
-        sizes = {name: size(content) for name, content in files.items()}
-        lacking = {name: files[name] for name in sizes if again or sizes[name] != known.get(name)}
-        flush(self.runs.client, run.info.run_id, lacking, parameters, metrics, tags)
+        sizes = {
+            name: len(content) if isinstance(content, bytes) else content.stat().st_size
+            for name, content in files.items()
+        }
+        lacking = [name for name in sizes if again or sizes[name] != known.get(name)]
+        if lacking:
+            with workplace.temporary_folder() as folder:
+                for name in lacking:
+                    path, content = Path(folder, name), files[name]
+                    path.parent.mkdir(parents=True, exist_ok=True)
+                    if isinstance(content, bytes):
+                        path.write_bytes(content)
+                    else:
+                        shutil.copyfile(content, path)
+                client.log_artifacts(run_id, folder)
+        client.log_batch(  # in parts of the size that MLflow accepts
+            run_id,
+            metrics=[Metric(name, value, int(1000 * time), step) for name, value, step, time in metrics],
+            params=[Param(key, value) for key, value in parameters.items()],
+            tags=[RunTag(key, value) for key, value in tags.items()],
+        )
         self._uploaded = {**known, **sizes}
 
 
@@ -276,34 +300,3 @@ def superseded(run: Run) -> bool:
     """Whether a later run shows the trial."""
     tag, value = OUTDATED
     return run.data.tags.get(tag) == value
-
-
-def size(content: Path | bytes) -> int:
-    """The size of a file in bytes."""
-    return len(content) if isinstance(content, bytes) else content.stat().st_size
-
-
-def flush(
-    client: MlflowClient,
-    run_id: str,
-    files: Files,
-    parameters: Mapping[str, str],
-    metrics: Sequence[Point],
-    tags: Mapping[str, str],
-) -> None:
-    """Write everything: files first, so that metrics appear last; metrics in their order."""
-    from mlflow.entities import Metric, Param, RunTag
-
-    if files:
-        with workplace.temporary_folder() as folder:
-            for name, content in files.items():
-                path = Path(folder, name)
-                path.parent.mkdir(parents=True, exist_ok=True)
-                path.write_bytes(content) if isinstance(content, bytes) else shutil.copyfile(content, path)
-            client.log_artifacts(run_id, folder)
-    client.log_batch(  # in parts of the size that MLflow accepts
-        run_id,
-        metrics=[Metric(name, value, int(1000 * time), step) for name, value, step, time in metrics],
-        params=[Param(key, value) for key, value in parameters.items()],
-        tags=[RunTag(key, value) for key, value in tags.items()],
-    )

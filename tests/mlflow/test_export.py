@@ -225,7 +225,7 @@ def test_a_trial_goes_on_in_a_new_run_after_a_withdrawal(folder: Path) -> None:
 
 def test_exports_at_once_make_one_run_of_a_trial(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of two users, or two installations: both look for it before either makes it, or writes its numbers."""
-    find, flush = Runs.find, runs.flush
+    find, bring = Runs.find, runs.RunExport.bring
 
     def slowly(*arguments: Any) -> list[Run]:
         found = find(*arguments)
@@ -234,10 +234,10 @@ def test_exports_at_once_make_one_run_of_a_trial(folder: Path, monkeypatch: pyte
 
     def late(*arguments: Any) -> None:
         time.sleep(0.2)
-        flush(*arguments)
+        bring(*arguments)
 
     monkeypatch.setattr(Runs, "find", slowly)
-    monkeypatch.setattr(runs, "flush", late)
+    monkeypatch.setattr(runs.RunExport, "bring", late)
     monkeypatch.setattr(runs, "cache_folder", lambda _: Path(tempfile.mkdtemp(dir=folder)))
     exports = [Mlflow(uri(folder), trials=str(folder / "trials")).export_trial(at(folder)) for _ in "ab"]
     with ThreadPoolExecutor(2) as threads:
