@@ -11,7 +11,6 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from functools import partial
 from multiprocessing.util import Finalize
 from pathlib import Path
 from typing import Any
@@ -26,12 +25,6 @@ NOISE = (  # joblib's messages on replaced or stopped workers, which are handled
     "A worker stopped while some jobs",
     r"\d+ tasks (which were still being processed|have been successfully executed)",
 )
-
-Round = Callable[[Iterable[tuple[int, Any]], bool], Iterator[tuple[int, Any]]]
-
-
-class RoundBrokenError(RuntimeError):
-    """Workers died; their tasks are not done."""
 
 
 class Loky(Engine):
@@ -50,13 +43,33 @@ class Loky(Engine):
     def run(
         self, function: Callable[[T], R], tasks: Sequence[T], code: Callable[[], bytes] = bytes
     ) -> Results[R]:
-        """Yield indices and results as tasks end."""
-        return run_rounds(partial(self._round, function), tasks)
+        """Yield indices and results as tasks end, in rounds: each lasts until a worker dies.
+
+        A task that was running in two broken rounds runs alone from then on, so that no other is blamed.
+        """
+        rest = dict(enumerate(tasks))
+        losses: Counter[int] = Counter()
+        while rest:
+            batch = [index for index in rest if losses[index] < MOST_LOSSES - 1]
+            starts: list[int] = []
+            calls = _noted(starts, {index: rest[index] for index in batch or list(rest)[:1]})
+            try:
+                for index, result in self._round(function, calls, not batch):
+                    del rest[index]
+                    yield index, result
+            except BrokenProcessPool as error:
+                losses.update(index for index in starts if index in rest)
+                for index in [index for index in rest if losses[index] >= MOST_LOSSES]:
+                    del rest[index]
+                    yield index, WorkerLostError(f"its worker died {MOST_LOSSES} times: {_reason(error)}")
 
     def _round(
         self, function: Callable, calls: Iterable[tuple[int, Any]], alone: bool
     ) -> Iterator[tuple[int, Any]]:
-        """Results of the calls, until a worker dies; joblib kills the workers when this is closed."""
+        """Results of (index, task) calls; joblib kills the workers when this is closed.
+
+        A call is taken only when it is about to run and, if `alone`, only when no other runs.
+        """
         from joblib import Parallel, delayed, load, parallel_config
 
         for message in NOISE:  # permanently: results are yielded, which a temporary filter would not outlive
@@ -73,37 +86,10 @@ class Loky(Engine):
                 return_as="generator_unordered", batch_size=1, pre_dispatch="1" if alone else "2*n_jobs"
             )
             results = parallel(delayed(_call)(function, index, task, workplace()) for index, task in calls)
-        try:
-            for index, file in results:
-                result = load(file)
-                file.unlink()
-                yield index, result
-        except BrokenProcessPool as error:
-            raise RoundBrokenError(_reason(error)) from error
-
-
-def run_rounds(run_round: Round, tasks: Sequence[T]) -> Results[Any]:
-    """Yield (index, result) of every task once, in rounds, even if workers die.
-
-    `run_round(calls, alone)` yields the results of (index, task) calls and raises RoundBrokenError if workers
-    died. It takes a call only when it is about to run it and, if `alone`, only when no other runs. A task
-    that was running in two broken rounds runs alone from then on, so that no other is blamed.
-    """
-    rest = dict(enumerate(tasks))
-    losses: Counter[int] = Counter()
-    while rest:
-        batch = [index for index in rest if losses[index] < MOST_LOSSES - 1]
-        starts: list[int] = []
-        calls = _noted(starts, {index: rest[index] for index in batch or list(rest)[:1]})
-        try:
-            for index, result in run_round(calls, not batch):
-                del rest[index]
-                yield index, result
-        except RoundBrokenError as error:
-            losses.update(index for index in starts if index in rest)
-            for index in [index for index in rest if losses[index] >= MOST_LOSSES]:
-                del rest[index]
-                yield index, WorkerLostError(f"its worker died {MOST_LOSSES} times: {error}")
+        for index, file in results:
+            result = load(file)
+            file.unlink()
+            yield index, result
 
 
 def _noted(starts: list[int], tasks: Mapping[int, T]) -> Iterator[tuple[int, T]]:
