@@ -15,24 +15,19 @@ from simbias.core.digest import short_digest
 from simbias.core.records import Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Batch:
     """Experiments with one policy on one hardware, the i-th from the i-th start; the seed is for noise."""
 
     composition: Composition  # the study that defines the hardware
-    parameters: tuple[float, ...]  # theta (p,)
-    starts: tuple[tuple[float, ...], ...]  # (k, n)
+    parameters: Array  # theta (p,)
+    starts: Array  # (k, n)
     seed: int
-
-    @staticmethod
-    def of(study: Composition, parameters: Array, starts: Array, seed: int) -> Batch:
-        """Experiments with theta (p,) from starts (k, n) on a study's hardware."""
-        return Batch(study, tuple(parameters.tolist()), tuple(map(tuple, starts.tolist())), seed)
 
     @property
     def hash(self) -> str:
         """Identity: 12 hexadecimal digits of everything that affects the outcomes."""
-        parts = [self.composition.group_hash, self.parameters, self.starts, self.seed]
+        parts = [self.composition.group_hash, self.parameters.tolist(), self.starts.tolist(), self.seed]
         return short_digest(json.dumps(parts).encode())
 
 
@@ -61,11 +56,11 @@ class Outcomes:
 def run_batch(batch: Batch) -> Outcomes:
     """Run the experiments of a batch; an error of the hardware is part of the outcomes."""
     study = build(batch.composition)
-    parameters, starts = np.array(batch.parameters), np.array(batch.starts)
+    generators = np.random.default_rng(batch.seed).spawn(len(batch.starts))
     try:
         rollouts = [
-            study.experiment(parameters, rng, start)
-            for start, rng in zip(starts, np.random.default_rng(batch.seed).spawn(len(starts)), strict=True)
+            study.experiment(batch.parameters, rng, start)
+            for start, rng in zip(batch.starts, generators, strict=True)
         ]
     except (HardwareError, Waiting) as error:
         return Outcomes((), (), (), (), f"hardware: {error}")

@@ -93,7 +93,7 @@ class SuccessRates(SweepFigure):
             hardware = self._hardware.choices["hardware"]
             raise FigureError(f"hardware {hardware} begins where it stands: it cannot start on a grid")
         return [
-            Batch.of(self._hardware, _last_policy(trial), self._starts(), seed)
+            Batch(self._hardware, _last_policy(trial), self._starts(), seed)
             for row, trial in trials.in_full()
             for seed in range(
                 row["repetition"] * self._experiments, (row["repetition"] + 1) * self._experiments

@@ -52,7 +52,7 @@ class Tries(SweepFigure):
     """A figure that tries a policy on hardware."""
 
     def __init__(self, study: Study, seeds: int) -> None:
-        self._batches = [Batch.of(study.composition, FALLING, STARTS, seed) for seed in range(seeds)]
+        self._batches = [Batch(study.composition, FALLING, STARTS, seed) for seed in range(seeds)]
 
     def experiments(self, trials: SweptTrials) -> Sequence[Batch]:
         return self._batches
