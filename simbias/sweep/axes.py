@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NotRequired, Required
+from typing import Any, NamedTuple, NotRequired, Required
 
 from simbias.config import ConfigError
 from simbias.config.components import validate
@@ -13,25 +13,36 @@ from simbias.config.components import validate
 ONLY = NotRequired[list[Any] | None]
 
 
+class Point(NamedTuple):
+    """A point of an axis: some keys with their values."""
+
+    label: str
+    values: Mapping[str, Any]  # by key; a new key is prefixed with +
+    texts: Sequence[str]  # one for each of its columns in a table
+
+
 @dataclass(frozen=True)
 class Axis:
-    """A dimension of the grid: points that each set some keys."""
+    """A dimension of the grid."""
 
     name: str
-    points: tuple[Mapping[str, Any], ...]  # values by key; a new key is prefixed with +
-    labels: tuple[str, ...]  # label of each point
-    texts: tuple[tuple[str, ...], ...]  # for each point, a text per column of a table
+    points: tuple[Point, ...]
     left_out: tuple[str, ...] = ()  # labels of declared points that are not run
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The label of each point."""
+        return tuple(point.label for point in self.points)
 
     @property
     def keys(self) -> tuple[str, ...]:
         """The keys that the points set."""
-        return tuple(dict.fromkeys(key.lstrip("+") for point in self.points for key in point))
+        return tuple(dict.fromkeys(key.lstrip("+") for point in self.points for key in point.values))
 
     @property
     def heads(self) -> list[str]:
         """Headings of its columns in a table: its name, or its keys, without their groups, in words."""
-        keys = self.keys if len(self.texts[0]) > 1 else [self.name]
+        keys = self.keys if len(self.points[0].texts) > 1 else [self.name]
         return [_in_words(key) for key in keys]
 
     def words(self, label: str) -> str:
@@ -41,10 +52,9 @@ class Axis:
     @property
     def numeric(self) -> bool:
         """Whether the labels are the points' values, which are numbers."""
-        values = [list(point.values()) for point in self.points]
-        numbers = (isinstance(value, int | float) for point in values for value in point)
-        own = all(label == join(value) for label, value in zip(self.labels, values, strict=True))
-        return own and all(numbers)
+        values = [(point.label, list(point.values.values())) for point in self.points]
+        numbers = (isinstance(value, int | float) for _, point in values for value in point)
+        return all(label == join(point) for label, point in values) and all(numbers)
 
 
 def _in_words(key: str) -> str:
@@ -73,9 +83,8 @@ def read_axis(name: str, spec: Any) -> Axis:
         spec = {"keys": name, "values": spec}
     if "points" in spec:
         checked = validate(spec, {"points": Required[dict[str, dict[str, Any]]], "only": ONLY}, where)
-        points = checked["points"]
-        axis = Axis(name, tuple(points.values()), tuple(points), tuple((text,) for text in points))
-        return _kept(_checked(axis), checked.get("only"))
+        points = [Point(text, values, [text]) for text, values in checked["points"].items()]
+        return _axis(name, points, checked.get("only"))
     fields = {
         "keys": Required[str | list[str]],
         "values": Required[list[Any]],
@@ -105,42 +114,36 @@ def read_axis(name: str, spec: Any) -> Axis:
     if len({key.lstrip("+") for key in written}) != len(written):
         raise ConfigError(where, f"names a key twice: {', '.join(written)}")
     values = [(value,) if one else _tuple(value, len(written), where) for value in checked["values"]]
-    labels = tuple(map(label, checked.get("labels", map(join, values))))
+    labels = [*map(label, checked.get("labels", map(join, values)))]
     if len(labels) != len(values):
         raise ConfigError(where, f"has {len(labels)} labels for {len(values)} values")
-    texts = [[text] for text in labels] if one or "labels" in checked else [map(label, v) for v in values]
-    points = tuple(dict(zip(written, value, strict=True)) for value in values)
-    return _kept(_checked(Axis(name, points, labels, tuple(map(tuple, texts)))), checked.get("only"))
+    apart = not one and "labels" not in checked  # a column for each key
+    points = [
+        Point(text, dict(zip(written, value, strict=True)), [*map(label, value)] if apart else [text])
+        for text, value in zip(labels, values, strict=True)
+    ]
+    return _axis(name, points, checked.get("only"))
 
 
-def _kept(axis: Axis, only: Sequence[Any] | None) -> Axis:
-    """The axis with the points of these labels, in its own order."""
-    if only is None:
-        return axis
-    where = f"sweep.axes.{axis.name}.only"
-    wanted = [str(each) if str(each) in axis.labels else label(each) for each in only]
-    if not wanted:
-        raise ConfigError(where, f"keeps no point; there are {', '.join(axis.labels)}")
-    for each in wanted:
-        if each not in axis.labels:
-            raise ConfigError(where, f"no such point: {each}; there are {', '.join(axis.labels)}")
-    at = [index for index, text in enumerate(axis.labels) if text in wanted]
-    points, texts = tuple(axis.points[i] for i in at), tuple(axis.texts[i] for i in at)
-    labels = tuple(axis.labels[i] for i in at)
-    left_out = tuple(text for text in axis.labels if text not in wanted)
-    return _checked(Axis(axis.name, points, labels, texts, left_out))
-
-
-def _checked(axis: Axis) -> Axis:
-    """The axis, if its points are distinct and can be drawn."""
-    where = f"sweep.axes.{axis.name}"
-    if not axis.points:
+def _axis(name: str, points: Sequence[Point], only: Sequence[Any] | None) -> Axis:
+    """The axis with these points, which have to be distinct, or with those that have one of some labels."""
+    where, labels = f"sweep.axes.{name}", [point.label for point in points]
+    if not points:
         raise ConfigError(where, "has no values")
-    if not all(text.isprintable() for text in (axis.name, *axis.labels)):
+    if not all(text.isprintable() for text in (name, *labels)):
         raise ConfigError(where, "has a name or label with unprintable characters")
-    if len(set(axis.labels)) != len(axis.labels):
-        raise ConfigError(where, f"has the same value or label twice: {', '.join(axis.labels)}")
-    return axis
+    if len(set(labels)) != len(labels):
+        raise ConfigError(where, f"has the same value or label twice: {', '.join(labels)}")
+    if only is None:
+        return Axis(name, tuple(points))
+    wanted = [str(each) if str(each) in labels else label(each) for each in only]
+    if not wanted:
+        raise ConfigError(f"{where}.only", f"keeps no point; there are {', '.join(labels)}")
+    for each in wanted:
+        if each not in labels:
+            raise ConfigError(f"{where}.only", f"no such point: {each}; there are {', '.join(labels)}")
+    kept = tuple(point for point in points if point.label in wanted)
+    return Axis(name, kept, tuple(text for text in labels if text not in wanted))
 
 
 def _tuple(value: Any, length: int, where: str) -> tuple[Any, ...]:

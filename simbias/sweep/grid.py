@@ -215,7 +215,7 @@ def _check_keys(axes: Sequence[Axis], overrides: Sequence[str], groups: Collecti
                     problem = f"{key} is set elsewhere: {owner or 'each trial has its own'}"
                     raise ConfigError(f"sweep.axes.{axis.name}", problem)
         owners |= dict.fromkeys(axis.keys, axis.name)
-        for key, value in (each for point in axis.points for each in point.items()):
+        for key, value in (each for point in axis.points for each in point.values.items()):
             if (group := key.lstrip("+")) in groups and isinstance(value, Mapping):
                 inner = next(iter(value), "key")
                 problem = f"{group} is a group; its values must be options, or write {key}.{inner}"
@@ -247,14 +247,14 @@ def _cells(axes: Sequence[Axis], common_seeds: frozenset[str], variations: Varia
     """Every combination of the axes' points."""
     known: dict[str, tuple[str, ...]] = {}
     identities: dict[str, str] = {}  # by the settings that determine seeds
-    for point in itertools.product(*(range(len(axis.points)) for axis in axes)):
+    for points in itertools.product(*(axis.points for axis in axes)):
         settings: dict[str, Any] = {}
         seeding: dict[str, Any] = {}
-        for axis, index in zip(axes, point, strict=True):
-            settings |= axis.points[index]
-            seeding |= {} if axis.name in common_seeds else axis.points[index]
+        for axis, point in zip(axes, points, strict=True):
+            settings |= point.values
+            seeding |= {} if axis.name in common_seeds else point.values
         composition = _composed(variations, settings, axes)
-        labels = tuple(axis.labels[index] for axis, index in zip(axes, point, strict=True))
+        labels = tuple(point.label for point in points)
         twin = known.setdefault(composition.group_hash, labels)
         if twin != labels:
             raise ConfigError("sweep.axes", f"{' '.join(twin)} and {' '.join(labels)} are the same config")

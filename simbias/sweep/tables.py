@@ -110,9 +110,9 @@ def arrange(
     for label in aside.labels if aside else ("",):
         head += [f"{aside.words(label)}: {measure}" if aside else measure for measure in measures]
     body = []
-    for point in itertools.product(*(range(len(axis.labels)) for axis in down)):
-        line = [text for axis, index in zip(down, point, strict=True) for text in axis.texts[index]]
-        labels = {axis.name: axis.labels[index] for axis, index in zip(down, point, strict=True)}
+    for points in itertools.product(*(axis.points for axis in down)):
+        line = [text for point in points for text in point.texts]
+        labels = {axis.name: point.label for axis, point in zip(down, points, strict=True)}
         for label in aside.labels if aside else ("",):
             where = labels | ({aside.name: label} if aside else {})
             line += texts(tuple(where[axis.name] for axis in sweep.axes))

@@ -203,7 +203,8 @@ def test_bad_axis() -> None:
 def test_only_keeps_points_by_their_labels() -> None:
     points = {"points": {"a": {"bias": "none"}, "b": {"bias": "gp"}, "c": {"seed": 3}}}
     axis = read_axis("x", points | {"only": ["c", "a"]})
-    assert (axis.labels, axis.points) == (("a", "c"), ({"bias": "none"}, {"seed": 3}))  # in the axis' order
+    kept = [(point.label, point.values) for point in axis.points]
+    assert kept == [("a", {"bias": "none"}), ("c", {"seed": 3})]  # in the axis' order
     assert read_axis("x", points | {"only": None}) == read_axis("x", points)
     noise = {"keys": ["u", "v"], "values": [[0.0, 0.5], [1.0, 2.0]]}
     one = read_axis("x", noise | {"only": ["1/2"]})

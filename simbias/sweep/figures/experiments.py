@@ -78,7 +78,8 @@ def _figure(table: pd.DataFrame, sweep: Sweep, width: float) -> Figure:
     along = next((axis for axis in sweep.axes if axis.name != sweep.report.columns), sweep.axes[0])
     others = [axis for axis in sweep.axes if axis is not along]
     curves = list(itertools.product(*(axis.labels for axis in others)))
-    labels = [fill(literal(", ".join(texts)), fitting(CHARACTERS, width)) for texts in along.texts]
+    texts = [literal(", ".join(point.texts)) for point in along.points]
+    labels = [fill(text, fitting(CHARACTERS, width)) for text in texts]
     row = max(ROW, CURVE * (1 + len(curves)), LINE * (1 + max(label.count("\n") for label in labels)))
     figure = Figure(figsize=(width, row * len(labels) + REST), layout="constrained")
     axes = figure.add_subplot()
