@@ -205,15 +205,13 @@ class SweepConsole(SweepObserver):
         for words, trials_with in sorted(kinds.items(), key=lambda item: (-item[1], item[0])):
             say(self._console, f"In {trials_with} of {counted(len(trials), 'trial')}: {words}.")
         resumes = "the same command resumes the sweep"
-        if raised:
-            trials_raised = counted(len(raised), "trial")
-            say(self._console, f"{trials_raised} raised an error; {resumes}.")
-        if self.waiting:
-            trials_waiting = counted(self.waiting, "trial")
-            say(self._console, f"Waiting for hardware: {trials_waiting}; {resumes}.")
-        if self.taken:
-            trials_taken = counted(self.taken, "trial")
-            say(self._console, f"Another process is running {trials_taken}; {resumes}.")
+        for number, words in (
+            (len(raised), "{} raised an error"),
+            (self.waiting, "Waiting for hardware: {}"),
+            (self.taken, "Another process is running {}"),
+        ):
+            if number:
+                say(self._console, f"{words.format(counted(number, 'trial'))}; {resumes}.")
         for name, caption, files in self._figures:
             if files:
                 shown = " ".join(map(str, files))
