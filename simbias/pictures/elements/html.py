@@ -5,10 +5,9 @@ from __future__ import annotations
 from base64 import b64encode
 from collections.abc import Iterable, Sequence
 from html import escape
-from io import BytesIO
 from typing import TYPE_CHECKING
 
-from simbias.pictures.elements.style import PUBLISHED_DOTS_PER_INCH, render
+from simbias.pictures.elements.style import PUBLISHED_DOTS_PER_INCH, png
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -73,14 +72,12 @@ def table(names: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 def picture(figure: Figure, words: str) -> str:
     """A figure within the page; the words are its alternative text."""
-    file = BytesIO()
-    render(figure, PUBLISHED_DOTS_PER_INCH).save(file, "PNG", optimize=True)
-    return image(file.getvalue(), words)
+    return image(png(figure, PUBLISHED_DOTS_PER_INCH, optimize=True), words)
 
 
-def image(png: bytes, words: str) -> str:
+def image(file: bytes, words: str) -> str:
     """A PNG file within the page."""
-    return f'<p><img alt="{escape(words)}" src="data:image/png;base64,{b64encode(png).decode()}"></p>'
+    return f'<p><img alt="{escape(words)}" src="data:image/png;base64,{b64encode(file).decode()}"></p>'
 
 
 def preformatted(text: str) -> str:

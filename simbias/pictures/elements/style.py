@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
-    from PIL import Image
 
 # Okabe and Ito's colours, which colour-blind readers can distinguish.
 SIMULATION, HARDWARE, NOMINAL = "#0072B2", "#D55E00", "#009E73"
@@ -187,7 +186,7 @@ def save(figure: Figure, path: Path | str) -> None:
     """
     suffix = Path(path).suffix.lower()
     if suffix == ".png":
-        render(figure, PUBLISHED_DOTS_PER_INCH).save(path, "PNG", optimize=True)
+        Path(path).write_bytes(png(figure, PUBLISHED_DOTS_PER_INCH, optimize=True))
     elif suffix in DATES:
         from matplotlib import rc_context
 
@@ -198,10 +197,17 @@ def save(figure: Figure, path: Path | str) -> None:
         raise ValueError(f"{path}: a figure is saved as .png, .svg or .pdf")
 
 
-def png(figure: Figure) -> bytes:
-    """A figure as a PNG file for a screen, made quickly."""
-    file = BytesIO()
-    render(figure, DOTS_PER_INCH).save(file, "PNG")
+def png(figure: Figure, dots_per_inch: int = DOTS_PER_INCH, optimize: bool = False) -> bytes:
+    """A figure as a PNG file of 256 colours: enough for line art, and files are a third as large."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from PIL import Image
+
+    figure.set_dpi(dots_per_inch)
+    canvas, file = FigureCanvasAgg(figure), BytesIO()
+    with _silence():
+        canvas.draw()
+    picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+    picture.quantize(256, dither=Image.Dither.NONE).save(file, "PNG", optimize=optimize)
     return file.getvalue()
 
 
@@ -211,17 +217,3 @@ def _silence() -> Iterator[None]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         yield
-
-
-def render(figure: Figure, dots_per_inch: int) -> Image.Image:
-    """A figure as an image with 256 colours: enough for line art, and files are a third as large."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from PIL import Image
-
-    figure.set_dpi(dots_per_inch)
-    canvas = FigureCanvasAgg(figure)
-    with _silence():
-        canvas.draw()
-    size = canvas.get_width_height()
-    picture = Image.frombytes("RGBA", size, canvas.buffer_rgba().tobytes()).convert("RGB")
-    return picture.quantize(256, dither=Image.Dither.NONE)

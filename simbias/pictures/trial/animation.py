@@ -31,6 +31,7 @@ from simbias.pictures.trial.comparison import (
     on_nominal,
     worst_experiment,
 )
+from simbias.pictures.trial.snapshots import ending_words
 from simbias.trial.study import Study
 
 WIDTH, EACH, DOTS_PER_INCH = 6.6, 2.2, 100  # in: minimum width of the picture, and width of each drawing
@@ -139,12 +140,11 @@ def _pictures(
             now = min(frame, rollout.frames)
             failed = rollout.failed_at is not None and now == rollout.frames
             move(artists, task, rollout.states[now], muted=failed)
-            ending = f": {task.words(rollout.failure)}" if failed and rollout.failure else ""
-            clock.set_text(fill(f"{seconds(task, now):.2f} s{ending}", LINE))
+            words = ending_words(task, rollout) if failed else f"{seconds(task, now):.2f} s"
+            clock.set_text(fill(words, LINE))
         for axes, artist in moving:
             axes.draw_artist(artist)
-        size = canvas.get_width_height()
-        picture = Image.frombytes("RGBA", size, canvas.buffer_rgba().tobytes()).convert("RGB")
+        picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
         palette = palette or _palette(picture)
         yield picture.quantize(palette=palette, dither=Image.Dither.NONE)
 
