@@ -10,7 +10,6 @@ import ast
 import logging
 import sys
 from collections.abc import Iterator, Mapping
-from functools import cache
 from importlib.machinery import ModuleSpec
 from importlib.util import resolve_name
 from pathlib import Path
@@ -21,7 +20,7 @@ from simbias.core.digest import short_digest
 
 INSTALLED = ("site-packages", "dist-packages")  # folders of unrelated packages
 EDITED = "simbias: %s was edited after Python had imported it; until Python restarts, the former code runs"
-_first_seen: dict[str, tuple[ModuleSpec | None, str]] = {}  # each module's spec and digest
+_seen: dict[str, tuple[ModuleSpec | None, set[str]]] = {}  # each module's spec and digests
 
 
 def digests(config: Mapping[str, Any]) -> dict[str, str]:
@@ -47,16 +46,11 @@ def digests(config: Mapping[str, Any]) -> dict[str, str]:
 def _tell_if_edited(module: str, digest: str) -> None:
     """Warn once if a module has another digest than when first seen; importlib.reload starts afresh."""
     spec = sys.modules[module].__spec__
-    if _first_seen.get(module, (spec, ""))[0] is not spec:
-        del _first_seen[module]
-    if _first_seen.setdefault(module, (spec, digest))[1] != digest:
-        _warn_once(module, digest)
-
-
-@cache
-def _warn_once(module: str, digest: str) -> None:
-    """Warn of an edit, which is known by its digest."""
-    logging.getLogger(__name__).warning(EDITED, module)
+    imported, digests = _seen.get(module, (spec, set[str]()))
+    digests = digests if imported is spec else set()
+    if digests and digest not in digests:
+        logging.getLogger(__name__).warning(EDITED, module)
+    _seen[module] = spec, {*digests, digest}
 
 
 def _with_imported(module: str) -> Iterator[tuple[str, Path]]:

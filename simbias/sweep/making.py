@@ -15,7 +15,7 @@ from simbias.core import HardwareError, Waiting
 from simbias.core.errors import ConfigError
 from simbias.core.interruption import deferred
 from simbias.core.messages import with_type
-from simbias.engine.contract import Engine, EngineLostError, WorkerLostError
+from simbias.engine.contract import Engine, WorkerLostError
 from simbias.engine.workplace import temporary_folder
 from simbias.pictures.elements.drawing import NoPictureError
 from simbias.sweep.batches import Batch, Outcomes, run_batch
@@ -62,7 +62,7 @@ def make_figures(
     """Make every figure that the sweep declares; return the errors of those that cannot be made."""
     undrawn: list[FigureError] = []
     for name, figure in sweep.figures.items():
-        with _errors_of(name, undrawn):
+        try:
             trials = state.swept()
             batches = figure.experiments(trials)
             outcomes = _outcomes(name, batches, engine, state, observer)
@@ -73,21 +73,14 @@ def make_figures(
                 files = picture.write(Path(folder), name)
                 state.publish(name, caption, files)
                 observer.drawn(name, caption, _copy(files, sweep.figures_to))
+        except ConfigError:  # the sweep has to stop
+            raise
+        except Exception as error:
+            hardware = "hardware: " * isinstance(error, HardwareError | Waiting)
+            words = str(error) if isinstance(error, EXPECTED) else with_type(error)
+            undrawn.append(FigureError(f"{name}: {hardware}{words}"))
+            undrawn[-1].__cause__ = error
     return undrawn
-
-
-@contextmanager
-def _errors_of(name: str, undrawn: list[FigureError]) -> Iterator[None]:
-    """Note an error with the figure's name, unless the sweep has to stop; some figures use the hardware."""
-    try:
-        yield
-    except (ConfigError, EngineLostError):
-        raise
-    except Exception as error:
-        hardware = "hardware: " * isinstance(error, HardwareError | Waiting)
-        words = str(error) if isinstance(error, EXPECTED) else with_type(error)
-        undrawn.append(FigureError(f"{name}: {hardware}{words}"))
-        undrawn[-1].__cause__ = error
 
 
 def _outcomes(
