@@ -12,7 +12,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 
 from simbias.core.records import Array, Indices, Iteration, Rollout
-from simbias.pictures.elements.drawing import Drawing, drawing_of, share_view
+from simbias.pictures.elements.drawing import drawing_of, share_view
 from simbias.pictures.elements.layout import WIDTH, headline
 from simbias.pictures.elements.style import (
     HARDWARE,
@@ -60,7 +60,7 @@ class Measure(NamedTuple):
     of: Callable[[Rollout], tuple[Indices, Array]]  # frames (k,) and values (k,)
 
 
-def overview(study: Study, iterations: Sequence[Iteration], draw: Drawing | None = None) -> Figure:
+def overview(study: Study, iterations: Sequence[Iteration]) -> Figure:
     """A trial's first and last policies on hardware, and all costs.
 
     For each policy: snapshots of its worst hardware experiment, if the task has a drawing. Below them, over
@@ -75,7 +75,7 @@ def overview(study: Study, iterations: Sequence[Iteration], draw: Drawing | None
     NoPictureError
         If no policy was tried on the hardware.
     """
-    draw = draw or drawing_of(study.task)
+    draw = drawing_of(study.task)
     both = first_and_last(on_hardware(iterations))
     layout = ConstrainedLayoutEngine(h_pad=PAD)
     figure = Figure(layout=layout)
