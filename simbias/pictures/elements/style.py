@@ -116,6 +116,7 @@ def shade_beyond(axes: Axes, limit: float, words: str, side: Literal["left", "ri
 def logarithmic(*all_axis: Axis) -> None:
     """Scale axes logarithmically; ticks are at decades and, if few of these are visible, in between.
 
+    A figure's labels are all alike: plain numbers or, if any of its axes reaches far, powers of ten.
     There are no minor ticks, as they would take most of a figure's drawing time.
     """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
@@ -127,8 +128,10 @@ def logarithmic(*all_axis: Axis) -> None:
             return super().tick_values(vmin, vmax)
 
     def number(axis: Axis, value: float, _: int | None) -> str:
-        low, high = axis.get_view_interval()
-        return f"{value:g}" if low >= 10.0**-FAR and high <= 10.0**FAR else with_power(value)
+        whole = axis.get_figure(root=True)
+        beside = (each for axes in (whole.axes if whole else ()) for each in (axes.xaxis, axes.yaxis))
+        ends = [end for each in beside if each.get_scale() == "log" for end in each.get_view_interval()]
+        return f"{value:g}" if min(ends) >= 10.0**-FAR and max(ends) <= 10.0**FAR else with_power(value)
 
     for axis in all_axis:
         axis.axes.set(**{f"{axis.axis_name}scale": "log"})  # type: ignore[attr-defined]
