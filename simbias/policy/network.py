@@ -83,7 +83,8 @@ class Network(Policy):
     observer
         "filter": a low-pass filter of rates; "derivative": rates from positions; "model": corrected
         predictions of the declared nominal model. The gains of these are searched. "kalman": a Kalman filter
-        of the identified nominal model. "none": the network uses the measured state.
+        of the identified nominal model. "disturbance": one that also estimates steady forces that the model
+        lacks. "none": the network uses the measured state.
     noise
         Measurement noise variances, by name (`simbias.simulation.noise.Noise`), that the Kalman filter
         assumes.
@@ -135,7 +136,7 @@ class Network(Policy):
         """Inputs u (..., m) at states x (..., n), and the observer's state."""
         estimate = self.estimate(theta, x, t, policy_state)
         u = self.ask(theta, self.ahead(estimate, policy_state), t)
-        return u, self.keep(x, estimate, u, policy_state)
+        return u, self.keep(x, estimate, u, t, policy_state)
 
     def estimate(self, theta: Array, x: Array, t: float, kept: Array) -> Array:
         """The observer's estimate (..., n) of the state; its own state is (..., s)."""
@@ -152,9 +153,9 @@ class Network(Policy):
         """The state (..., n) when the next input acts, predicted by the observer."""
         return self._with_targets(self._observer.ahead(estimate[..., : self._n], kept), estimate)
 
-    def keep(self, x: Array, estimate: Array, u: Array, kept: Array) -> Array:
+    def keep(self, x: Array, estimate: Array, u: Array, t: float, kept: Array) -> Array:
         """The observer's state (..., s) for the next frame."""
-        return self._observer.keep(x[..., : self._n], estimate[..., : self._n], u, kept)
+        return self._observer.keep(x[..., : self._n], estimate[..., : self._n], u, t, kept)
 
     def _with_targets(self, own: Array, x: Array) -> Array:
         """The robot's own states combined with the known targets in x (..., n)."""

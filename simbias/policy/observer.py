@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
-from scipy.linalg import solve_discrete_are
+from scipy.linalg import block_diag, solve_discrete_are
 
 from simbias.core import Nominal, Task, rates_and_positions, wrapped
+from simbias.core.quantities import rate_pairs
 from simbias.core.records import Array
 from simbias.simulation.goal import holding
 from simbias.simulation.linearization import input_scale, linearization
 from simbias.simulation.noise import QUIET, Noise, Variances
 
-ObserverKind = Literal["none", "filter", "derivative", "model", "kalman"]
+ObserverKind = Literal["none", "filter", "derivative", "model", "kalman", "disturbance"]
 LEAST = 0.02  # least gain of a filter
-DISTURBANCE = 0.05  # process noise: deviation of unknown inputs in a frame, as a share of the limits
+DISTURBANCE = 0.05  # process noise: deviation of unknown inputs in a frame, as a share of the limits;
+# steady forces change by as much in a second
 ELSEWHERE = 0.01  # its share that acts on each state separately, so that no direction is exact
 MOST_AHEAD = 20  # frames of prediction
 EXACT = 1e-6  # deviation assumed for noise-free measurements, in their unit
@@ -39,8 +43,8 @@ class Observer(ABC):
         """The estimate (..., n) from measurements x (..., n), gains (..., o) and its own state (..., s)."""
 
     @abstractmethod
-    def keep(self, x: Array, estimate: Array, u: Array, kept: Array) -> Array:
-        """The observer's state (..., s) for the next frame, given the sent input u (..., m)."""
+    def keep(self, x: Array, estimate: Array, u: Array, t: Any, kept: Array) -> Array:
+        """The observer's state (..., s) for the next frame, after the input u (..., m) was sent at t in s."""
 
     def ahead(self, estimate: Array, kept: Array) -> Array:
         """The state (..., n) when the next input acts, accounting for known delays."""
@@ -62,7 +66,7 @@ class Measured(Observer):
         """The measured state (..., n), unchanged."""
         return x
 
-    def keep(self, x: Array, estimate: Array, u: Array, kept: Array) -> Array:
+    def keep(self, x: Array, estimate: Array, u: Array, t: Any, kept: Array) -> Array:
         """An empty state (..., 0): measurements need no memory."""
         return x[..., :0]
 
@@ -77,7 +81,7 @@ class RateFilter(Observer):
         """The state with filtered rates."""
         return np.where(self._first(t), x, kept + np.where(self._is_rate, gains, 1.0) * (x - kept))
 
-    def keep(self, x: Array, estimate: Array, u: Array, kept: Array) -> Array:
+    def keep(self, x: Array, estimate: Array, u: Array, t: Any, kept: Array) -> Array:
         """The estimate (..., n)."""
         return estimate
 
@@ -106,7 +110,7 @@ class RatesOfPositions(Observer):
         moved = wrapped((x - before)[..., self._source], self._quantities) / self._task.time_step
         return np.where(self._first(t) | ~self._is_rate, x, rates + gains * (moved - rates))
 
-    def keep(self, x: Array, estimate: Array, u: Array, kept: Array) -> Array:
+    def keep(self, x: Array, estimate: Array, u: Array, t: Any, kept: Array) -> Array:
         """The measured state and the estimate, concatenated (..., 2n)."""
         return np.concatenate([x, estimate], axis=-1)
 
@@ -125,7 +129,7 @@ class ModelObserver(Observer):
         gain = np.where(self._is_rate, gains[..., 1:], gains[..., :1])
         return np.where(self._first(t), x, kept + gain * wrapped(x - kept, self._task.states))
 
-    def keep(self, x: Array, estimate: Array, u: Array, kept: Array) -> Array:
+    def keep(self, x: Array, estimate: Array, u: Array, t: Any, kept: Array) -> Array:
         """The prediction of the next state."""
         return self._nominal.step(estimate, u)
 
@@ -139,29 +143,62 @@ class KalmanFilter(Observer):
     the policy acts on the state when its input will act: `frames_ahead` frames later, predicted from the
     inputs already sent.
 
+    Where a model lacks a force, such as wind, predictions are off, and so are estimates. With `disturbances`,
+    unknown accelerations that change slowly are further states, so that a steady one leaves no error
+    (U. Maeder, F. Borrelli, M. Morari, Automatica 45, 2009). A learned bias is not part of the model here.
+
     ValueError if the model has no stationary filter there.
     """
 
-    def __init__(self, task: Task, nominal: Nominal, noise: Variances = QUIET) -> None:
+    def __init__(
+        self, task: Task, nominal: Nominal, noise: Variances = QUIET, disturbances: bool = False
+    ) -> None:
         super().__init__(task, nominal, noise)
-        self.size = len(task.states) + nominal.state_size
-        self.gain = self._stationary()  # L (n, n)
-        self.frames_ahead = self._delay()
-
-    def _stationary(self) -> Array:
-        """The gain (n, n) of the innovation."""
-        task, limit = self._task, input_scale(self._task)
-        V = np.diag(np.maximum(Noise(task, self._noise).sensor_variance, EXACT**2))
+        self._disturbed, self._n = disturbances, len(task.states)
         try:
-            A, B = linearization(self._nominal.without_dry_friction(), *self._balance(), limit)
-            by_inputs = (DISTURBANCE * limit * B) @ (DISTURBANCE * limit * B).T
-            W = by_inputs + ELSEWHERE**2 * np.diag(np.diag(by_inputs)) + EXACT**2 * np.eye(len(A))
-            P = solve_discrete_are(A.T, np.eye(len(A)), W, V)
+            A, W = self._linear()
+            self._effects, walk = self._accelerations(W)  # E (n, r): of unknown accelerations in a frame
+            self.gain = self._stationary(A, W, walk)  # L (n + r, n)
         except (np.linalg.LinAlgError, ValueError) as error:
             raise ValueError(
                 f"observer: the nominal model has no Kalman filter at the goal: {error}"
             ) from error
-        return np.linalg.solve(P + V, P).T
+        self.size = self._n + nominal.state_size + len(walk)
+        self.frames_ahead = self._delay()
+
+    def _linear(self) -> tuple[Array, Array]:
+        """The linear model A (n, n), and the covariance W (n, n) of its process noise in a frame."""
+        limit = input_scale(self._task)
+        A, B = linearization(self._nominal.without_dry_friction(), *self._balance(), limit)
+        by_inputs = (DISTURBANCE * limit * B) @ (DISTURBANCE * limit * B).T
+        return A, by_inputs + ELSEWHERE**2 * np.diag(np.diag(by_inputs)) + EXACT**2 * np.eye(len(A))
+
+    def _accelerations(self, W: Array) -> tuple[Array, Array]:
+        """Effects (n, r) of unknown accelerations in a frame, and variances (r,) of their change in it.
+
+        There is one for each rate that has a position. Those of one unit are alike; none is assumed where no
+        input acts on a rate of that unit.
+        """
+        states, dt = self._task.states, self._task.time_step
+        pairs = rate_pairs(states) if self._disturbed else []
+        deviation = np.sqrt(np.diag(W)) / dt  # of accelerations by unknown inputs
+        effects, walk = [np.empty((self._n, 0))], list[float]()
+        for position, rate in pairs:
+            alike = [i for _, i in pairs if states[i].unit == states[rate].unit]
+            if (largest := deviation[alike].max()) > 2 * EXACT / dt:
+                effects.append(np.eye(self._n)[:, [rate]] * dt + np.eye(self._n)[:, [position]] * dt**2 / 2)
+                walk.append(largest**2 * dt)
+        if self._disturbed and not walk:
+            raise ValueError("no input acts on the rate of a position, so no disturbance can be estimated")
+        return np.hstack(effects), np.array(walk)
+
+    def _stationary(self, A: Array, W: Array, walk: Array) -> Array:
+        """The gain (n + r, n) of the innovation."""
+        n, r = self._n, len(walk)
+        F = np.block([[A, self._effects], [np.zeros((r, n)), np.eye(r)]])
+        V = np.diag(np.maximum(Noise(self._task, self._noise).sensor_variance, EXACT**2))
+        P = solve_discrete_are(F.T, np.eye(n + r, n), block_diag(W, np.diag(walk)), V)
+        return np.linalg.solve(P[:n, :n] + V, P[:n]).T
 
     def _balance(self) -> tuple[Array, Array]:
         """The states (n,) to linearise at, and the inputs (m,) that hold them."""
@@ -173,7 +210,7 @@ class KalmanFilter(Observer):
     def _delay(self) -> int:
         """Frames until more than half of an input acts; 0 if inputs have no effect."""
         nominal, limit = self._nominal, input_scale(self._task)
-        x, model_state = np.zeros((2, len(self.gain))), np.zeros((2, nominal.state_size))
+        x, model_state = np.zeros((2, self._n)), np.zeros((2, nominal.state_size))
         u = np.stack([limit, 0.0 * limit])
         at_once = np.abs(np.subtract(*nominal.step(x, u))).sum()
         if not at_once:  # such as a model of positions and rates alone
@@ -186,24 +223,46 @@ class KalmanFilter(Observer):
 
     def designed_on(self, nominal: Nominal) -> KalmanFilter:
         """The filter designed on another model."""
-        return KalmanFilter(self._task, nominal, self._noise)
+        return KalmanFilter(self._task, nominal, self._noise, self._disturbed)
 
     def estimate(self, gains: Array, x: Array, t: Any, kept: Array) -> Array:
         """The prediction, corrected by the measurement."""
-        predicted = kept[..., : len(self.gain)]
-        innovation = wrapped(x - predicted, self._task.states)
-        return np.where(self._first(t), x, predicted + (self.gain @ innovation[..., None])[..., 0])
+        n = self._n
+        return np.where(self._first(t), x, kept[..., :n] + self._corrected(self.gain[:n], x, kept))
 
-    def keep(self, x: Array, estimate: Array, u: Array, kept: Array) -> Array:
-        """The prediction of the next state, and the model state (..., n + h)."""
-        return np.concatenate(self._nominal.advance(estimate, u, kept[..., len(self.gain) :]), axis=-1)
+    def keep(self, x: Array, estimate: Array, u: Array, t: Any, kept: Array) -> Array:
+        """The prediction of the next state, the model state and unknown accelerations (..., n + h + r)."""
+        _, model_state, unknown = self._parts(kept)
+        if self._disturbed:
+            learned = self._corrected(self.gain[self._n :], x, kept)
+            unknown = unknown + np.where(self._first(t), 0.0, learned)
+        x_next, model_state = self._advanced(estimate, u, model_state, unknown)
+        return np.concatenate([x_next, model_state, unknown], axis=-1)
 
     def ahead(self, estimate: Array, kept: Array) -> Array:
         """The state (..., n) after the frames in which the inputs already sent act."""
-        model_state, nothing = kept[..., len(self.gain) :], 0.0 * estimate[..., : len(self._task.inputs)]
+        _, model_state, unknown = self._parts(kept)
+        nothing = 0.0 * estimate[..., : len(self._task.inputs)]
         for _ in range(self.frames_ahead):
-            estimate, model_state = self._nominal.advance(estimate, nothing, model_state)
+            estimate, model_state = self._advanced(estimate, nothing, model_state, unknown)
         return estimate
+
+    def _parts(self, kept: Array) -> tuple[Array, Array, Array]:
+        """Predicted state (..., n), model state (..., h) and unknown accelerations (..., r)."""
+        n, h = self._n, self._nominal.state_size
+        return kept[..., :n], kept[..., n : n + h], kept[..., n + h :]
+
+    def _corrected(self, gain: Array, x: Array, kept: Array) -> Array:
+        """What the innovation changes by a gain (k, n), (..., k)."""
+        innovation = wrapped(x - kept[..., : self._n], self._task.states)
+        return (gain @ innovation[..., None])[..., 0]
+
+    def _advanced(self, x: Array, u: Array, model_state: Array, unknown: Array) -> tuple[Array, Array]:
+        """State (..., n) and model state (..., h) a frame later, under unknown accelerations (..., r)."""
+        x_next, model_state = self._nominal.advance(x, u, model_state)
+        if self._disturbed:
+            x_next = x_next + (self._effects @ unknown[..., None])[..., 0]
+        return x_next, model_state
 
 
 class LookAhead(Observer):
@@ -233,10 +292,10 @@ class LookAhead(Observer):
         """The other observer's estimate, at the time of measurement."""
         return self._observer.estimate(gains, x, t, kept[..., : self._observer.size])
 
-    def keep(self, x: Array, estimate: Array, u: Array, kept: Array) -> Array:
+    def keep(self, x: Array, estimate: Array, u: Array, t: Any, kept: Array) -> Array:
         """The other observer's state, and the sent inputs, oldest first."""
         own, sent = kept[..., : self._observer.size], kept[..., self._observer.size :]
-        own = self._observer.keep(x, estimate, u, own)
+        own = self._observer.keep(x, estimate, u, t, own)
         return np.concatenate([own, sent[..., len(self._task.inputs) :], u], axis=-1)
 
     def ahead(self, estimate: Array, kept: Array) -> Array:
@@ -248,10 +307,11 @@ class LookAhead(Observer):
         return ahead + self._latency / self._task.time_step * moved
 
 
-OBSERVERS: dict[ObserverKind, type[Observer]] = {
+OBSERVERS: dict[ObserverKind, Callable[[Task, Nominal, Variances], Observer]] = {
     "none": Measured,
     "filter": RateFilter,
     "derivative": RatesOfPositions,
     "model": ModelObserver,
     "kalman": KalmanFilter,
+    "disturbance": partial(KalmanFilter, disturbances=True),
 }

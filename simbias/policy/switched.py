@@ -105,7 +105,7 @@ class Switched(Policy):
         near = np.exp(theta[..., -1:]) * (1.0 + (self._hysteresis - 1.0) * on) > V
         regulated = np.clip(self._holding - e @ self._K.T, *self._task.input_bounds)
         u = np.where(near, regulated, self._swing_up.ask(theta[..., :-1], met, t))
-        kept = self._swing_up.keep(x, estimate, u, kept)
+        kept = self._swing_up.keep(x, estimate, u, t, kept)
         return u, np.concatenate([kept, np.where(near, 1.0, 0.0)], axis=-1)
 
 

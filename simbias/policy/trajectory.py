@@ -121,7 +121,7 @@ class Trajectory(Policy):
             most = SMALL * self._task.input_limit
             u = u - np.clip(for_friction, -most, most)
         u = np.clip(u, *self._task.input_bounds)
-        return u, self._observer.keep(x, estimate, u, policy_state)
+        return u, self._observer.keep(x, estimate, u, t, policy_state)
 
     def following(self, states: Array, inputs: Array, *gains: Array) -> Array:
         """The parameters (p,) to follow x_t (K, n), u_t (K, m) with K_t and L_t (K, m, n) at the knots."""

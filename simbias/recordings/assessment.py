@@ -205,10 +205,8 @@ def assess(
     if posterior.known:
         without_it = fit(everything, "without the earlier posterior", begin=posterior.with_known(None))
         apart = [posterior.identified(study.nominal, []), without_it]
-    found = findings(identified, alone, by_window, 0.0 if shorter is None else shorter.max(axis=0), apart)
-    if posterior.known and posterior.known.doubts:
-        doubted = zip(found, posterior.known.doubts, strict=True)
-        found = [replace(each, earlier=tuple(doubts)) for each, doubts in doubted]
+    moved = 0.0 if shorter is None else shorter.max(axis=0)
+    found = _with_earlier(findings(identified, alone, by_window, moved, apart), posterior.known)
     rest = [others(all_parts, i) for i in range(len(all_parts))]
     if kept:
         models = [identified]
@@ -218,7 +216,7 @@ def assess(
     models = [model.of_recording(0) if one else model.elsewhere() for model in models]
     own = [] if one else [*_with_own(models, posterior, study.nominal, judged, progress)]
     pairs = zip(alone, rest, strict=True)
-    learned = [(model.elsewhere(), apart.rollouts) for model, apart in pairs] if kept else []
+    learned = [(model.elsewhere(), unseen.rollouts) for model, unseen in pairs] if kept else []
     assessment = Assessment(
         study,
         list(recordings),
@@ -245,6 +243,13 @@ def _named_apart(
 ) -> dict[str, Sequence[Rollout]]:
     """All recordings; a held-out one that has another's name is told by it."""
     return {**recordings, **{n + ", held out" * (n in recordings): each for n, each in held_out.items()}}
+
+
+def _with_earlier(found: Sequence[Finding], known: Known | None) -> Sequence[Finding]:
+    """Findings with the doubts of an earlier posterior, if it has any."""
+    if not known or not known.doubts:
+        return found
+    return [replace(each, earlier=tuple(d)) for each, d in zip(found, known.doubts, strict=True)]
 
 
 def _learned(

@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from errors import one_line
+from hypothesis import given, settings
+from hypothesis.strategies import floats, integers
 from interpreted import assert_alike, interpreted
 from mechanisms import CARTPOLE, declared
 from models import with_values
@@ -93,7 +95,7 @@ def late(task: Task, study: Study, frames: float) -> Rig:
 def written(cartpole: Study, turning: Task, observer: ObserverKind) -> tuple[list[Rollout], list[Rollout]]:
     """Rollouts by the lanes' loop and by NumPy's."""
     policy: Policy = Network(turning, cartpole.nominal, errors=True, observer=observer)
-    if observer in ("filter", "model", "kalman"):
+    if observer in ("filter", "model", "disturbance"):
         policy = Switched(turning, cartpole.nominal, "rbf", units=5, observer=observer)
         policy = policy.designed_on(late(turning, cartpole, 1.3))
     noise = Noise(turning, {"velocity_variance": 1e-4}).draw(np.random.default_rng(0))
@@ -197,12 +199,42 @@ def test_observers_know_rates_better_than_sensors(cartpole: Study, turning: Task
         kept, estimates = np.zeros(observer.size), []
         for t in range(n):
             estimates.append(observer.estimate(np.array(gains), seen[t], t * turning.time_step, kept))
-            kept = observer.keep(seen[t], estimates[-1], u[t], kept)
+            kept = observer.keep(seen[t], estimates[-1], u[t], t * turning.time_step, kept)
         errors[kind] = float(np.sqrt(np.mean((np.array(estimates)[5:, 2:] - x[5:, 2:]) ** 2)))
     assert errors["filter"] < 0.9 * errors["none"]
     assert errors["derivative"] < 0.7 * errors["none"]
     assert errors["model"] < 0.3 * errors["none"]
     assert errors["kalman"] < 0.5 * errors["model"]  # nothing is searched
+    assert errors["disturbance"] < 0.5 * errors["model"]
+
+
+@settings(max_examples=5, deadline=None)
+@given(wind=floats(0.1, 2.0), seed=integers(0, 2**32 - 1))
+def test_a_steady_wind_that_the_model_lacks_is_estimated(wind: float, seed: int) -> None:
+    """With late inputs, too: what is seen and what is predicted are the states. Without, both stay behind."""
+    task, noise = PointMass(), {"velocity_variance": 1e-2, "position_variance": 1e-6}
+    motor = Rig(task, WithoutWind(task), {"force": Motor(delay=0.1)}, {})
+    model = with_values(motor, **{"force.delay": 2.0 * task.time_step})
+    errors = []
+    for disturbances in (False, True):
+        observer = KalmanFilter(task, model, noise, disturbances)
+        x, kept, hidden = np.zeros(2), np.zeros(observer.size), np.zeros(model.state_size)
+        rng, met = np.random.default_rng(seed), list[Array]()
+        for t in range(500):
+            estimate = observer.estimate(np.empty(0), x, t * task.time_step, kept)
+            met.append(observer.ahead(estimate, kept))
+            off = np.abs([estimate - x, met[max(t - 2, 0)] - x])
+            u = rng.uniform(-1.0, 1.0, 1)
+            kept = observer.keep(x, estimate, u, t * task.time_step, kept)
+            x, hidden = model.advance(x, u, hidden)
+            x = x + wind * task.time_step * np.array([task.time_step / 2, 1.0])
+        errors.append(off)
+    behind, exact = errors
+    assert (behind[:, 1] > 0.02 * wind).all()
+    assert (exact < 1e-6).all()
+    assert kept[-1] == pytest.approx(wind)
+    with one_line("observer: .* so no disturbance can be estimated", ValueError):
+        KalmanFilter(task, NoNominal(task, kinematics=True), noise, True)
 
 
 def test_the_kalman_filters_gain_is_where_its_covariance_settles(cartpole: Study, turning: Task) -> None:
@@ -236,7 +268,7 @@ def test_a_kalman_filter_is_that_of_the_inputs_which_hold_the_robot() -> None:
         estimate = observer.estimate(np.empty(0), seen, t * task.time_step, kept)
         errors.append((estimate - x)[:3])
         u = hover + 0.2 * rng.standard_normal(2)
-        kept, x = observer.keep(seen, estimate, u, kept), model.step(x, u)
+        kept, x = observer.keep(seen, estimate, u, t * task.time_step, kept), model.step(x, u)
     assert (np.sqrt(np.mean(np.square(errors[200:]), axis=0)) < 0.5 * 0.01).all()  # of what is measured
 
 
@@ -282,7 +314,7 @@ def test_a_kalman_filter_knows_late_inputs_and_what_the_next_one_will_meet(
         estimate = observer.estimate(np.empty(0), x[t], t * turning.time_step, kept)
         np.testing.assert_allclose(estimate, x[t], atol=1e-9)
         np.testing.assert_allclose(observer.ahead(estimate, kept), x[t + 2], atol=1e-9)
-        kept = observer.keep(x[t], estimate, u[t], kept)
+        kept = observer.keep(x[t], estimate, u[t], t * turning.time_step, kept)
         np.testing.assert_allclose(kept[:4], x[t + 1], atol=1e-9)
 
 
@@ -321,7 +353,7 @@ def test_it_sees_most_of_what_happens_while_measurements_are_late() -> None:
         path = [rng.normal(0.0, [1.0, 1.0, 3.0, 3.0])]
         kept, u = np.zeros(observer.size), rng.uniform(-2.0, 2.0, (4, 1))
         for each in u:
-            kept = observer.keep(path[0], path[0], each, kept)
+            kept = observer.keep(path[0], path[0], each, 0.0, kept)
             path.append(nominal.step(path[-1], each))
         wrong = observer.ahead(observer.estimate(np.empty(0), path[0], 1.0, kept), kept) - path[-1]
         missed.append(np.linalg.norm(wrong) / np.linalg.norm(path[-1] - path[0]))
