@@ -253,7 +253,7 @@ class KalmanFilter(Observer):
         return kept[..., :n], kept[..., n : n + h], kept[..., n + h :]
 
     def _corrected(self, gain: Array, x: Array, kept: Array) -> Array:
-        """What the innovation changes by a gain (k, n), (..., k)."""
+        """A gain (k, n) times the innovation: (..., k)."""
         innovation = wrapped(x - kept[..., : self._n], self._task.states)
         return (gain @ innovation[..., None])[..., 0]
 
