@@ -181,16 +181,17 @@ class KalmanFilter(Observer):
         """
         states, dt = self._task.states, self._task.time_step
         pairs = rate_pairs(states) if self._disturbed else []
-        deviation = np.sqrt(np.diag(W)) / dt  # of accelerations by unknown inputs
-        effects, walk = [np.empty((self._n, 0))], list[float]()
-        for position, rate in pairs:
-            alike = [i for _, i in pairs if states[i].unit == states[rate].unit]
-            if (largest := deviation[alike].max()) > 2 * EXACT / dt:
-                effects.append(np.eye(self._n)[:, [rate]] * dt + np.eye(self._n)[:, [position]] * dt**2 / 2)
-                walk.append(largest**2 * dt)
-        if self._disturbed and not walk:
+        by_inputs, largest = np.sqrt(np.diag(W)) / dt, dict[str, float]()  # accelerations by unknown inputs
+        for _, rate in pairs:
+            unit = states[rate].unit
+            largest[unit] = max(by_inputs[rate], largest.get(unit, 0.0))
+        pairs = [(i, rate) for i, rate in pairs if largest[states[rate].unit] > 2 * EXACT / dt]
+        if self._disturbed and not pairs:
             raise ValueError("no input acts on the rate of a position, so no disturbance can be estimated")
-        return np.hstack(effects), np.array(walk)
+        effects = np.zeros((self._n, len(pairs)))
+        for column, (position, rate) in enumerate(pairs):
+            effects[[position, rate], column] = dt**2 / 2, dt
+        return effects, np.array([dt * largest[states[rate].unit] ** 2 for _, rate in pairs])
 
     def _stationary(self, A: Array, W: Array, walk: Array) -> Array:
         """The gain (n + r, n) of the innovation."""
@@ -228,13 +229,13 @@ class KalmanFilter(Observer):
     def estimate(self, gains: Array, x: Array, t: Any, kept: Array) -> Array:
         """The prediction, corrected by the measurement."""
         n = self._n
-        return np.where(self._first(t), x, kept[..., :n] + self._corrected(self.gain[:n], x, kept))
+        return np.where(self._first(t), x, kept[..., :n] + self._correction(self.gain[:n], x, kept))
 
     def keep(self, x: Array, estimate: Array, u: Array, t: Any, kept: Array) -> Array:
         """The prediction of the next state, the model state and unknown accelerations (..., n + h + r)."""
         _, model_state, unknown = self._parts(kept)
         if self._disturbed:
-            learned = self._corrected(self.gain[self._n :], x, kept)
+            learned = self._correction(self.gain[self._n :], x, kept)
             unknown = unknown + np.where(self._first(t), 0.0, learned)
         x_next, model_state = self._advanced(estimate, u, model_state, unknown)
         return np.concatenate([x_next, model_state, unknown], axis=-1)
@@ -252,7 +253,7 @@ class KalmanFilter(Observer):
         n, h = self._n, self._nominal.state_size
         return kept[..., :n], kept[..., n : n + h], kept[..., n + h :]
 
-    def _corrected(self, gain: Array, x: Array, kept: Array) -> Array:
+    def _correction(self, gain: Array, x: Array, kept: Array) -> Array:
         """A gain (k, n) times the innovation: (..., k)."""
         innovation = wrapped(x - kept[..., : self._n], self._task.states)
         return (gain @ innovation[..., None])[..., 0]
