@@ -18,6 +18,7 @@ from simbias.lab.units import factor
 
 ASKED = ": is it in degrees, or sampled too rarely?"
 OFTEN_WRAPPED = 0.2  # share of samples between which an angle jumps by more than half a turn
+MOST_WRAPPED = 1.1  # turns that a wrapped angle goes through, with its noise
 MOST_TURNS = 1.5  # turns between two samples of a wrapped angle
 GAP = 5.0  # usual sampling intervals: a longer one is a gap
 FEWEST_FRAMES = 2  # minimum length of a gap
@@ -162,6 +163,9 @@ class _Reading:
         runs = np.split(values, begins)
         unwound = np.concatenate([np.unwrap(run, period=turn) for run in runs])
         if not np.array_equal(unwound, values):
+            if (range_ := max(map(np.ptp, runs)) / turn) > MOST_WRAPPED:
+                far = f"more than half a turn, but goes through {range_:.3g} turns, so it is not wrapped"
+                raise HardwareError(f"{file.path}: column {column} jumps by {far}{ASKED}")
             self._notes.append(f"{angle.name} was wrapped, and is unwrapped")
         return unwound
 

@@ -187,7 +187,11 @@ def assess(
     def fit(part: Part, words: str, window: float = 1.0, begin: Posterior = posterior) -> Identified:
         progress(words)
         fitting = begin.with_window(window * posterior.window)
-        return fitting.identified(study.nominal, part.rollouts, part.recordings)
+        try:
+            return fitting.identified(study.nominal, part.rollouts, part.recordings)
+        except np.linalg.LinAlgError as error:
+            problem = f"{part.name}: predictions have no finite errors: is a unit or a column wrong?"
+            raise ConfigError("identify", problem) from error
 
     everything = Part("all recordings", recordings)
     identified = fit(everything, everything.name)

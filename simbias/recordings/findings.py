@@ -18,6 +18,7 @@ BEYOND_PRIOR = 1.05  # prior deviations: a larger posterior deviation exceeds th
 AT_BOUND = 0.05  # prior standard deviations from a bound
 TAIL = 2.5  # prior standard deviations from the median
 DISAGREEMENT = 3.0  # standard deviations between estimates of two parts
+FAR = "far from its declared value"
 STEP_DOUBT = "depends on the integration step"
 TOO_LONG = 1.0  # standard deviations by which shorter integration steps move estimates
 
@@ -93,7 +94,7 @@ def findings(
             "wider than its prior" if deviations[i] > BEYOND_PRIOR else "",
             f"only together with {', '.join(partners)}" if partners else "",
             "at its bound" if at_bound(parameter, estimate.value) else "",
-            "far from its declared value" if tail > TAIL else "",
+            FAR if tail > TAIL else "",
             f"at the assumed {parameter.assumed}" if parameter.assumed else "",
         ]
         lasting = [

@@ -10,7 +10,7 @@ import numpy as np
 
 from simbias.recordings.assessment import Assessment
 from simbias.recordings.excitation import Excitation
-from simbias.recordings.findings import BEYOND_PRIOR, STEP_DOUBT
+from simbias.recordings.findings import BEYOND_PRIOR, FAR, STEP_DOUBT
 from simbias.recordings.horizons import by_state
 from simbias.recordings.parts import Part
 
@@ -31,6 +31,9 @@ FAR_LARGER = 10.0  # times the explained errors: rare even without a spring or f
 OFTEN = 0.1  # share of states beyond failure criteria; recordings of failures end there
 WORTH = 0.1  # share by which an experiment must narrow a parameter for it to be named
 REMEDY = "measure what you can in other ways (masses by weighing or with another load), and declare it"
+WIDER = "Enlarge their priors (nominal.uncertainty; identification.motors and sensors), and identify again"
+ROUNDS = "Raise identification.rounds"
+STILL_MOVES = 0.1  # standard deviations by the last round
 SHORTER = "take a smaller nominal.sub_step or, in an MJCF, timestep"
 TRUST = (
     "Trust is for motions like those recorded. To test it, hold out a faster or stronger one (--held-out)."
@@ -200,7 +203,11 @@ def reach_lines(assessment: Assessment) -> Iterator[str]:
 
 
 def advice(assessment: Assessment, excitation: Excitation | str) -> Iterator[str]:
-    """Sentences about integration steps, windows, and what the next trajectory should determine."""
+    """Sentences about priors, convergence, integration steps, windows, and the next trajectory."""
+    if far := [each.prior.name for each in assessment.findings if FAR in each.doubts]:
+        yield f"{', '.join(far)}: so far from what is declared, estimates are wrong. {WIDER}."
+    if (moved := assessment.identified.diagnostics.get("moved", 0.0)) > STILL_MOVES:
+        yield f"Estimates have not converged: the last round moved them by {moved:.2g} deviations. {ROUNDS}."
     if stepped := _stepped(assessment):
         yield f"Shorter steps of integration would move {', '.join(stepped)}: {SHORTER}."
     if not assessment.steps_checked:
@@ -233,6 +240,7 @@ def _narrowing(assessment: Assessment, excitation: Excitation) -> Iterator[str]:
     else:
         least = f"{100 * WORTH:.0f}%"
         yield f"Another {seconds:g} s within the limits should narrow every parameter by less than {least}."
-    left = [names[i] for i in np.flatnonzero(~own & ~worth & (excitation.deviations > 0.5))]
+    far = np.array([FAR in finding.doubts for finding in assessment.findings], bool)
+    left = [names[i] for i in np.flatnonzero(~own & ~far & ~worth & (excitation.deviations > 0.5))]
     if left:
         yield f"No input should determine {', '.join(left)}: {REMEDY}."

@@ -33,9 +33,10 @@ CLOSE = 0.1  # relative deviation from the goal: so small that a constant input 
 ALIKE = 0.5  # of the squared inputs: allowed squared error of a policy there
 DIGITS = 9  # decimals of states at rest, in their units
 NO_ERRORS = (
-    "{} cannot hold the goal as LQR does, so it regulates to zero: its outputs are not zero at the goal "
-    "(position - 0.5 is), and it has no constant (as policy.constant of dynamic_output_feedback)"
+    "its outputs are not zero at the goal (position - 0.5 is), and it has no constant (as policy.constant of "
+    "dynamic_output_feedback)"
 )
+INTEGRATED = "it integrates outputs that are not zero at the goal; name others in policy.integrated"
 STEADY_INPUT = (
     "{} has no constant for the steady input that holds the robot, so it rests elsewhere; "
     "use policy.constant of dynamic_output_feedback, or method=lqi"
@@ -97,16 +98,17 @@ def lqr_policies(
         model = replace(model, nominal=model.nominal.without_dry_friction())
     goal = resting_goal(model.task)
     policies = _regulating(model, goal, input_weights, integral_weight, sticking)
-    if policies is None:
-        warnings.warn(NO_ERRORS.format(type(model.policy).__name__), StudyWarning, stacklevel=2)
+    if isinstance(policies, str):
+        why = f"{type(model.policy).__name__} cannot hold the goal as LQR does, so it regulates to zero: "
+        warnings.warn(why + policies, StudyWarning, stacklevel=2)
         policies = _regulating(model, None, input_weights, integral_weight, sticking)
-    return policies or []
+    return [] if isinstance(policies, str) else policies
 
 
 def _regulating(
     model: Model, goal: Array | None, input_weights: Sequence[float], integral_weight: float, sticking: bool
-) -> list[Array] | None:
-    """Policies (p,) that imitate regulators to a goal (n,) or zero; None if they cannot at a goal.
+) -> list[Array] | str:
+    """Policies (p,) that imitate regulators to a goal (n,) or zero; if they cannot at a goal, why.
 
     If the equilibrium needs a steady input that the policy cannot give, they imitate only the feedback. An
     integral then finds the steady input; without one, they rest elsewhere.
@@ -127,8 +129,10 @@ def _regulating(
     policies = [theta for theta in imitations if theta is not None]
     if policies and goal is not None:
         integrated = model.policy.integrated(goal) if integral_weight else np.zeros(0)
-        if (np.abs(integrated) > NEAR).any() or not _is_imitated(model, linear, found[0], goal):
-            return None
+        if (np.abs(integrated) > NEAR).any():
+            return INTEGRATED
+        if not _is_imitated(model, linear, found[0], goal):
+            return NO_ERRORS
     if policies and offset and not integral_weight:
         warnings.warn(STEADY_INPUT.format(type(model.policy).__name__), StudyWarning, stacklevel=3)
     return policies

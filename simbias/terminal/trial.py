@@ -38,6 +38,7 @@ from simbias.trial.run import TrialRecord, run_trial
 from simbias.trial.study import Study
 from simbias.trial.summary import Outcome, TrialSummary
 
+SMALL = 0.1  # cost below which three decimals may hide it
 CONTINUE = "To continue from these experiments, raise method.max_iterations or budget, and add {} {}."
 
 
@@ -116,6 +117,8 @@ def _ended(folder: TrialFolder) -> bool:
 
 def cost_text(cost: float) -> str:
     """A cost in at most eight characters."""
+    if 0 < abs(cost) < SMALL:
+        return f"{cost:.3g}"
     return f"{cost:.3f}" if cost < 1000 else f"{cost:.2e}".replace("e+0", "e")
 
 
@@ -232,7 +235,7 @@ class TrialConsole(Observer):
         say(self._console, f"{line}  {sum(iteration.seconds.values()):>7.1f}{notes}", markup=True)
         if learning and learning.log_likelihoods:
             say(self._console, f"     {likelihoods_text(learning.log_likelihoods)}")
-        self._remark(diagnostics.of_inputs(iteration.experiments, self._study.task), again=True)
+        self._remark(diagnostics.of_inputs(iteration.experiments, self._study), again=True)
         self._remark(diagnostics.of_reset(iteration, self._study.cost.max_cost))
         if learning and not iteration.succeeded:
             self._remark(diagnostics.of_selection(learning.selection))

@@ -11,7 +11,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from simbias.core import Cost, Model, Nominal, Task
+from simbias.core import Cost, Model, Nominal
 from simbias.core.messages import counted
 from simbias.core.records import Array, Iteration, Rollout, Search, Selection
 from simbias.lab.safety import exceeded
@@ -58,7 +58,8 @@ def of_policy(
     theta: Array, model: Model | None, search: Search | None, earlier: Sequence[Iteration]
 ) -> Iterator[Remark]:
     """Oddities of a policy theta (p,), searched or not, that was made on a model after earlier iterations."""
-    if search is not None and search.optimum.flat:
+    planned = model is not None and isinstance(model.policy, Trajectory)  # only gains differ
+    if search is not None and search.optimum.flat and not planned:
         optimum = search.optimum
         yield Remark(
             "all simulated policies cost the same",
@@ -242,8 +243,9 @@ def of_selection(selection: Selection) -> Iterator[Remark]:
     yield Remark("experiments without a sample to learn from", f"no samples to learn from: {why}")
 
 
-def of_inputs(experiments: Sequence[Rollout], task: Task) -> Iterator[Remark]:
+def of_inputs(experiments: Sequence[Rollout], study: Study) -> Iterator[Remark]:
     """A remark if an input changes much from frame to frame in the experiments, which wears a robot."""
+    task, options = study.task, study.config.get("policy", {})
     lower, upper = task.input_bounds
     steps = [np.diff(each.inputs, axis=0) / (upper - lower) for each in experiments if each.frames > 1]
     if not steps:
@@ -251,11 +253,12 @@ def of_inputs(experiments: Sequence[Rollout], task: Task) -> Iterator[Remark]:
     changes = np.abs(np.concatenate(steps)).mean(axis=0)
     worst = int(np.argmax(changes))
     if changes[worst] > CHATTER:
+        filters = ", ".join(f"policy.{key}" for key in ("filter_seconds", "observer") if key in options)
         yield Remark(
             "an input chatters",
             f"{task.inputs[worst].name} changes by {changes[worst]:.0%} of its range from frame to frame, on "
-            "average, so motors get hot and gears wear; a filter or an observer of noisy rates may help "
-            "(policy.filter_seconds, policy.observer)",
+            "average, so motors get hot and gears wear; a larger weight of inputs in the cost may help"
+            f"{f', or a filter of noisy rates ({filters})' if filters else ''}",
         )
 
 
@@ -263,7 +266,7 @@ def of_iteration(iteration: Iteration, earlier: Sequence[Iteration], study: Stud
     """Everything odd about a finished iteration, except a cleared model, which is no fault."""
     found = [*of_policy(iteration.parameters, iteration.model, iteration.search, earlier)]
     found += _of_simulations(iteration, study)
-    found += of_inputs(iteration.experiments, study.task)
+    found += of_inputs(iteration.experiments, study)
     if iteration.learning is not None and not iteration.succeeded:
         found += of_selection(iteration.learning.selection)
     return found

@@ -377,6 +377,11 @@ def test_what_cannot_be_meant_so_is_one_line(read: Read, table: pd.DataFrame) ->
             {},
             r"column pos1 jumps by more than half a turn in 100% of its samples: is it in degrees",
         ),
+        (
+            without.assign(pos1=40.0 * np.sin(without.index / 12.5)),
+            {},
+            r"column pos1 jumps by more than half a turn, but goes through 12\.\d turns, so it is not",
+        ),
         (table.assign(pos1=0.5), {}, r"one\.csv: pos1 never changes, but vel1 does: is it stuck\?"),
         (table.assign(time=1.7e9), {}, r"one\.csv: column time: all \d+ times are the same"),
         (rare.assign(tau1=rare["tau1"][:1]), {}, r"column tau1: expected two samples at least, got 1"),

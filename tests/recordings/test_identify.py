@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterable
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from errors import one_line
 from mechanisms import cart_pole, mjcf
 from pendulum import NOISE, QUICK, experiment, pendulum, truth
 from rich.console import Console
@@ -36,7 +38,7 @@ from simbias.recordings.files import (
     parameters,
     write,
 )
-from simbias.recordings.findings import STEP_DOUBT, findings
+from simbias.recordings.findings import FAR, STEP_DOUBT, findings
 from simbias.recordings.horizons import (
     CHANGE,
     HorizonErrors,
@@ -264,13 +266,30 @@ def test_what_takes_up_a_parameter_that_changes_is_doubted_with_it(assessment: A
     assert doubted.lasting == ("the earlier posterior disagrees",)
 
 
+def test_states_that_no_model_predicts_are_refused_in_a_line(study: Study) -> None:
+    rng = np.random.default_rng(0)
+    rollouts = {name: [experiment(study.nominal, rng, 400)] for name in "ab"}
+    huge = {n: [replace(one, states=1e160 * one.states) for one in each] for n, each in rollouts.items()}
+    with one_line("identify: all recordings: predictions have no finite errors: is a unit"):
+        assess(study, huge)
+
+
 def test_what_is_advised_may_help(assessment: Assessment) -> None:
     """Of what each recording has of its own no input tells beforehand, nor anything that is weighed."""
+    told = next(advice(assessment, "none"))  # after a single round
+    assert re.fullmatch(r"Estimates have not converged: .* deviations\. Raise identification\.rounds\.", told)
+    identified = copy(assessment.identified)
+    identified.diagnostics = {**identified.diagnostics, "moved": 0.05}
+    assessment = replace(assessment, identified=identified)
     first, *others = assessment.findings
-    own = replace(first, prior=first.prior._replace(of_recording=True))
     useless = Excitation(
         Rollout(np.zeros((3, 4)), np.zeros((2, 2))), np.full(1 + len(others), 0.9), 0.0, np.zeros(4)
     )
+    off = replace(first, passing=(FAR,))
+    told, *_, rest = advice(replace(assessment, findings=[off, *others]), useless)
+    assert told.startswith(f"{first.prior.name}: so far from what is declared, ")
+    assert first.prior.name not in rest
+    own = replace(first, prior=first.prior._replace(of_recording=True))
     told = [" ".join(advice(replace(assessment, findings=[each, *others]), useless)) for each in (first, own)]
     assert [each.count(f"No input should determine {first.prior.name}, ") for each in told] == [1, 0]
     assert told[1].count(f"No input should determine {others[0].prior.name}, ") == 1

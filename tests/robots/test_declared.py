@@ -346,6 +346,13 @@ def test_what_cannot_be_meant_is_refused() -> None:
             {"goal": {"position": "-t"}, "failure": {"ends": {"value": "position", "below": -0.5}}},
             "goal.position is -0.501 at t = 0.501 s, where the task fails: ends",
         ),
+        (
+            {
+                "goal": {"position": "0.5", "angle": "-91.4"},
+                "failure": {"far": {"value": "max(abs(position), abs(angle))", "above": 2.6}},
+            },
+            "goal.position is 0.5, goal.angle is -91.4 at t = 0 s, where the task fails: far",
+        ),
         ({"goal": {"position": "sqrt(1 - t)"}}, "goal.position is not a finite number at t = 1"),
         ({"goal": {"position": "angle"}}, "goal.position: 'angle': nothing is called angle; available: t"),
         (

@@ -102,6 +102,9 @@ def test_the_rest_is_at_a_goal_that_is_not_zero(errors: bool) -> None:
     (theta, *_) = lqr_policies(constant)
     end = PlainSimulator([constant], [None]).rollout(theta, task.start_mean).states[-1]
     np.testing.assert_allclose(end, [0.3, 0.0], atol=0.06)
+    integral = replace(model, policy=IntegralFeedback(task))
+    with nullcontext() if errors else pytest.warns(StudyWarning, match="it integrates outputs that are not"):
+        lqr_policies(integral, integral_weight=1.0)
 
 
 WIND = ConstantBias(2.0 * 0.02 * np.array([0.02, 1.0]), np.zeros(2))  # of 2 N

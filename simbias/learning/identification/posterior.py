@@ -216,8 +216,8 @@ class Posterior(Identification):
             for _ in range(self._rounds):
                 problem = Problem(nominal, compared, z, freedom)
                 before, z = z, problem.mode(z, self._evaluations)
-                precision = problem.precision(z)
-                if (z - before) @ precision @ (z - before) < TOLERANCE**2 * len(z):
+                moved = (z - before) @ problem.precision(z) @ (z - before) / len(z)
+                if moved < TOLERANCE**2:
                     break
         spread = problem.spread(z, self._differences)
         if self._noise.any() or self._differences == "central":
@@ -228,6 +228,7 @@ class Posterior(Identification):
             "windows": len(windows),
             "share": problem.errors.independent_share,
             "undetermined": len(undetermined(fitted)),
+            "moved": float(np.sqrt(moved)),  # standard deviations, by the last round
         }
         return fitted
 

@@ -120,7 +120,7 @@ def check_within(
     seconds: float,
     targets: Array,
 ) -> None:
-    """Refuse a reference for a state that alone violates a failure criterion, whatever the other states.
+    """Refuse a reference that violates a failure criterion, for one state or all, whatever the others.
 
     So does a reference for most of the drawn targets (k, .); for a tenth of them, a line says so.
     """
@@ -145,15 +145,15 @@ def _violations(
     criteria: Sequence[Criterion],
     measure: Callable[[Array], Array],
 ) -> Iterator[str]:
-    """Where goal values (T, g) of states alone violate failure criteria, in words."""
-    for column, name in zip(values.T, names, strict=True):
-        x = np.where(np.array(states) == name, column[:, None], np.nan)
+    """Where goal values (T, g) of states, each alone or all together, violate failure criteria, in words."""
+    goals = {name: column for name, column in zip(names, values.T, strict=True) if name in states}
+    for given in (*({name: column} for name, column in goals.items()), goals):
+        x = np.column_stack([given.get(name, np.full(len(times), np.nan)) for name in states])
         for criterion, each in zip(criteria, measure(x).T, strict=True):
             if (beyond := each > criterion.limit).any():
-                yield (
-                    f"goal.{name} is {column[beyond][0]:.3g} at t = {times[beyond][0]:.3g} s, "
-                    f"where the task fails: {criterion.name}"
-                )
+                at = {name: f"{column[beyond][0]:.3g}" for name, column in given.items()}
+                what = ", ".join(f"goal.{name} is {value}" for name, value in at.items())
+                yield f"{what} at t = {times[beyond][0]:.3g} s, where the task fails: {criterion.name}"
 
 
 def warn_of_degrees(reference: Reference, goals: Sequence[Quantity], seconds: float) -> None:

@@ -60,7 +60,7 @@ def trajectory_candidates(
         best = _planned(shooting, task, policy, random, at_rest, refuted)
         if best is not None:
             followed = shooting.along_knots(best, policy.times)
-            _warn_of_few_knots(best, followed, len(policy.times), models[0].task.horizon)
+            _warn_of_few_knots(best, followed, len(policy.times), models[0].task)
             yield from shooting.following.policies(best, policy, GAIN_WEIGHTS)
             return
     limits = zip(task.inputs, *task.input_bounds, strict=True)
@@ -97,12 +97,14 @@ def follower(task: Task, policy: Policy) -> Trajectory:
     return policy
 
 
-def _warn_of_few_knots(plan: Plan, followed: Plan | None, knots: int, frames: int) -> None:
+def _warn_of_few_knots(plan: Plan, followed: Plan | None, knots: int, task: Task) -> None:
     """Warn if the knots, between which the policy is linear, do not represent a plan well."""
-    if followed is None or followed.cost > DEARER * plan.cost:
-        then = "fails" if followed is None else f"costs {followed.cost:.3g}"
+    misses = followed is not None and task.succeeds(plan.states) and not task.succeeds(followed.states)
+    if followed is None or misses or followed.cost > DEARER * plan.cost:
+        then = "fails" if followed is None else "misses its goal and " * bool(misses)
+        then += "" if followed is None else f"costs {followed.cost:.3g}"
         message = (
             f"a plan costs {plan.cost:.3g} in simulation, but followed with policy.knots={knots} it {then}; "
-            f"policy.knots={frames + 1} has one per frame"
+            f"policy.knots={task.horizon + 1} has one per frame"
         )
         warnings.warn(message, StudyWarning, stacklevel=3)
