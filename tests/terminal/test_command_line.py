@@ -98,6 +98,7 @@ def test_bad_input_exits_2_with_one_line(line: Any, tmp_path: Path) -> None:
     for arguments, said in (
         (["optimizer=unknown"], "optimizer=unknown"),
         (["chekc"], "no such command: chekc; available: check, "),
+        (["bias=none", "check"], "write the command first: python -m simbias check bias=none ..."),
         (["report", "trials", "--cfg", "job"], "--cfg: report has no config to show"),
         (["preview", "method=ideal", "hardware=manual"], "method: searches on the hardware itself"),
         (["report", "x" * 5000], "File name too long"),
