@@ -132,12 +132,12 @@ def test_written_it_is_what_it_is_in_numpy(cartpole: Study) -> None:
 def test_exported_it_is_what_it_is_in_numpy(cartpole: Study) -> None:
     """In C and Python, over more frames than its table has; files are only made if they agree.
 
-    It has all that it can have: a Kalman filter of a late motor, and gains for friction.
+    It has all that it can have: a filter of a late motor and of disturbances, and gains for friction.
     """
     _, (theta,) = around(cartpole, 1)
     rig = Rig(cartpole.task, cartpole.nominal, {"force": Motor(delay=0.05)}, {})
     nominal = with_values(rig, **{"force.delay": 1.5 * cartpole.task.time_step})
-    policy = Trajectory(cartpole.task, cartpole.nominal, KNOTS, observer="kalman", sliding=True)
+    policy = Trajectory(cartpole.task, cartpole.nominal, KNOTS, observer="disturbance", sliding=True)
     rows = theta.reshape(KNOTS, 9)
     theta = np.concatenate([rows, 0.1 * rows[:, 5:]], axis=1).ravel()
     request = ExperimentRequest(cartpole.task, policy.designed_on(nominal), theta, cartpole.task.start_mean)
