@@ -92,6 +92,17 @@ def test_where_data_tell_nothing_every_delay_may_be(study: Study) -> None:
     assert found.high > 0.9 * 0.06
 
 
+def test_draws_have_the_most_probable_delay_or_any_by_its_probability(study: Study) -> None:
+    """Without experiments, any up to the longest is as probable."""
+    option = ["identification=delay", "identification.draws=true", "tracking=none"]
+    uncertain = simbias.load(["preset=[pendulum_swingup,scratch]", *option])
+    x, u, frames, rng = np.zeros((20, 2)), np.eye(20)[:, :1], np.arange(20), np.random.default_rng(0)
+    for each, mean in ((study, 0.0), (uncertain, 0.03 / study.task.time_step)):
+        model = each.identification.fit(Pendulum(study, 1.0), [])
+        responses = np.array([model.draw(rng).along(x, u)[:, 1] for _ in range(300)])
+        assert np.mean(responses @ frames / responses.sum(axis=1)) == pytest.approx(mean, abs=0.2)
+
+
 @pytest.fixture(scope="module")
 def learned(study: Study) -> Learned:
     """The identified model and the bias of some experiments, two frames late, and the experiments."""

@@ -37,10 +37,13 @@ class Delay(Identification):
     points
         Maximum number of samples in a likelihood, evenly spaced in the data; the computing time is cubic in
         it.
+    draws
+        Whether draws of the model have random delays, by their probabilities; otherwise the most probable
+        one.
     """
 
-    def __init__(self, task: Task, longest: Seconds = 0.06, points: Count = 200) -> None:
-        self._task = task
+    def __init__(self, task: Task, longest: Seconds = 0.06, points: Count = 200, draws: bool = False) -> None:
+        self._task, self._draws = task, draws
         self._taps = taps_of(longest, task.time_step)
         count = min(int(STEPS * longest / task.time_step + 1e-9), MOST)
         step = max(task.time_step / STEPS, longest / MOST)
@@ -57,13 +60,17 @@ class Delay(Identification):
             If the model already has a delay or another model state.
         """
         candidates = [Late(self._task, nominal, delay, self._taps) for delay in self._delays.tolist()]
-        if not rollouts:
-            return candidates[0]
-        log_evidence = np.array([self._log_evidence(model, rollouts) for model in candidates])
-        best = candidates[int(np.argmax(log_evidence))]
+        log_evidence = np.zeros(len(candidates))
+        if rollouts:
+            log_evidence[:] = [self._log_evidence(model, rollouts) for model in candidates]
         probabilities = np.exp(log_evidence - log_evidence.max())
-        best.estimates = (_estimate(self._delays, probabilities / probabilities.sum()),)
-        best.at_longest = best.delay == self._delays[-1]
+        probabilities /= probabilities.sum()
+        best = copy(candidates[int(np.argmax(log_evidence))])
+        if rollouts:
+            best.estimates = (_estimate(self._delays, probabilities),)
+            best.at_longest = best.delay == self._delays[-1]
+        if self._draws:
+            best.drawn_from = candidates, probabilities
         return best
 
     def _log_evidence(self, model: Late, rollouts: Sequence[Rollout]) -> float:
@@ -94,7 +101,7 @@ class Late(Nominal):
     """A model behind delayed motors; its bias is a function of the acting inputs.
 
     A bias that depends on the commands could not express a delay, which makes the robot depend on earlier
-    commands.
+    commands. If `drawn_from` lists other models, draws have their delays, by their probabilities.
 
     Raises
     ------
@@ -102,6 +109,7 @@ class Late(Nominal):
         If the model already has a delay or another model state.
     """
 
+    drawn_from: tuple[Sequence[Late], Array] | None = None
     at_longest = False  # whether it has the longest delay considered
 
     def __init__(self, task: Task, nominal: Nominal, delay: float, taps: int) -> None:
@@ -146,8 +154,12 @@ class Late(Nominal):
         return self._driving(self._nominal.with_parameters(values))
 
     def draw(self, rng: np.random.Generator) -> Late:
-        """A draw of the model behind the motors, with the same delay."""
-        return self._driving(self._nominal.draw(rng))
+        """A draw of the model behind the motors and, if `drawn_from` is given, of their delay."""
+        motors = self
+        if self.drawn_from:
+            models, probabilities = self.drawn_from
+            motors = models[rng.choice(len(models), p=probabilities)]
+        return motors._driving(self._nominal.draw(rng))
 
     @property
     def slack(self) -> Array:
