@@ -11,7 +11,7 @@ import numpy as np
 from simbias.core import Controller, HardwareError, Law, Policy, Quantity, Task
 from simbias.core.quantities import by_quantity
 from simbias.core.ranges import Positive
-from simbias.core.records import Array, Rollout
+from simbias.core.records import Array, Indices, Rollout
 from simbias.core.robot import NOT_A_NUMBER
 
 ROUNDING = 1e-12  # relative, for a limit that a controller enforces itself
@@ -119,6 +119,15 @@ class _Monitor:
         self._last = np.array(u, dtype=np.float64)
         return ""
 
+    def beyond(self, x: Array, u: Array) -> Indices:
+        """The frames whose states x (k, n) or inputs u (k, m) exceed a limit."""
+        changes = np.abs(np.diff(u, axis=0, prepend=u[:1]))
+        within = (np.abs(x) <= self._states).all(axis=1) & (changes <= self._changes).all(axis=1)
+        within &= ((self._least <= u) & (u <= self._most)).all(axis=1)
+        if self._criteria:
+            within &= self._task.violated(x) < 0
+        return np.flatnonzero(~within)
+
 
 def hold(rollout: Rollout, task: Task, bounds: Bounds, source: str) -> Rollout:
     """Cut a rollout at the first state beyond its limits, as if the experiment had been aborted there.
@@ -130,16 +139,18 @@ def hold(rollout: Rollout, task: Task, bounds: Bounds, source: str) -> Rollout:
     """
     monitor = _Monitor(task, bounds, task.time_step, RECORDED_ROUNDING)
     seen = rollout.states if rollout.measured is None else rollout.measured
-    for frame, (x, u) in enumerate(zip(seen, rollout.inputs, strict=False)):  # no input acts after the last
-        if failure := monitor.of_state(x):
-            return replace(rollout.part(0, frame), failed_at=frame, failure=failure)
-        if failure := monitor.of_input(u):
-            inputs = rollout.inputs[max(frame - 1, 0) : frame + 1].tolist()
-            raise HardwareError(
-                f"{source}: inputs: expected them within the limits of the task and of hardware.safety, "
-                f"got {failure} in frame {frame}: {inputs}"
-            )
-    return rollout
+    beyond = monitor.beyond(seen[: rollout.frames], rollout.inputs)
+    if not len(beyond):
+        return rollout
+    frame = int(beyond[0])
+    if failure := monitor.of_state(seen[frame]):
+        return replace(rollout.part(0, frame), failed_at=frame, failure=failure)
+    inputs = rollout.inputs[max(frame - 1, 0) : frame + 1]
+    *_, failure = map(monitor.of_input, inputs)
+    raise HardwareError(
+        f"{source}: inputs: expected them within the limits of the task and of hardware.safety, "
+        f"got {failure} in frame {frame}: {inputs.tolist()}"
+    )
 
 
 def exceeded(rollout: Rollout, task: Task, bounds: Bounds) -> str:
