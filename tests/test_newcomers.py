@@ -252,7 +252,12 @@ def test_the_screen_says_what_is_under_way(point_mass: Study) -> None:
         assert "failed" not in after
         cheap = replace(iteration.experiments[0], cost=0.1, failed_at=20, failure="distance")
         observer.iterated(replace(iteration, experiments=(cheap,)))
-        assert [cost_text(each) for each in (5.952, 0.0009878)] == ["5.952", "0.000988"]
+        assert [cost_text(each) for each in (5.952, 0.1, 0.09996, 0.0009878)] == [
+            "5.952",
+            "0.100",
+            "0.100",
+            "0.000988",
+        ]
         assert (
             f"{cost_text(0.1)} ({cheap.frames * point_mass.task.time_step:.2f} s, failed)" in file.getvalue()
         )

@@ -46,11 +46,11 @@ def digests(config: Mapping[str, Any]) -> dict[str, str]:
 def _tell_if_edited(module: str, digest: str) -> None:
     """Warn once if a module has another digest than when first seen; importlib.reload starts afresh."""
     spec = sys.modules[module].__spec__
-    imported, digests = _seen.get(module, (spec, set[str]()))
-    digests = digests if imported is spec else set()
-    if digests and digest not in digests:
+    imported, known = _seen.get(module, (spec, set[str]()))
+    known = known if imported is spec else set()
+    if known and digest not in known:
         logging.getLogger(__name__).warning(EDITED, module)
-    _seen[module] = spec, {*digests, digest}
+    _seen[module] = spec, {*known, digest}
 
 
 def _with_imported(module: str) -> Iterator[tuple[str, Path]]:

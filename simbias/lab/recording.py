@@ -19,6 +19,7 @@ from simbias.lab.units import factor
 ASKED = ": is it in degrees, or sampled too rarely?"
 OFTEN_WRAPPED = 0.2  # share of samples between which an angle jumps by more than half a turn
 MOST_WRAPPED = 1.1  # turns that a wrapped angle goes through, with its noise
+FEW_RESETS = 2  # jumps of a counted angle that may be resets or lost samples
 MOST_TURNS = 1.5  # turns between two samples of a wrapped angle
 GAP = 5.0  # usual sampling intervals: a longer one is a gap
 FEWEST_FRAMES = 2  # minimum length of a gap
@@ -157,15 +158,17 @@ class _Reading:
             first, then = map(file.place, signal.places[jumps[0] : jumps[0] + 2])
             jump = f"{steps[jumps[0]]:.3g} {angle.unit} from {first} to {then}"
             raise HardwareError(f"{file.path}: column {column} jumps by {jump}, more than a turn{ASKED}")
-        if (wraps := np.count_nonzero(np.abs(steps) > turn / 2)) > OFTEN_WRAPPED * len(steps):
+        wraps = np.count_nonzero(np.abs(steps) > turn / 2)
+        if wraps > OFTEN_WRAPPED * len(steps):
             often = f"more than half a turn in {wraps / len(steps):.0%} of its samples"
             raise HardwareError(f"{file.path}: column {column} jumps by {often}{ASKED}")
         runs = np.split(values, begins)
+        turns = max(map(np.ptp, runs)) / turn
+        if wraps > FEW_RESETS and turns > MOST_WRAPPED:
+            far = f"more than half a turn {wraps} times, but goes through {turns:.3g} turns: is it in degrees"
+            raise HardwareError(f"{file.path}: column {column} jumps by {far}, reset, or sampled too rarely?")
         unwound = np.concatenate([np.unwrap(run, period=turn) for run in runs])
         if not np.array_equal(unwound, values):
-            if (range_ := max(map(np.ptp, runs)) / turn) > MOST_WRAPPED:
-                far = f"more than half a turn, but goes through {range_:.3g} turns, so it is not wrapped"
-                raise HardwareError(f"{file.path}: column {column} jumps by {far}{ASKED}")
             self._notes.append(f"{angle.name} was wrapped, and is unwrapped")
         return unwound
 

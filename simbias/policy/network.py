@@ -95,7 +95,7 @@ class Network(Policy):
     Raises
     ------
     ValueError
-        If an input has no limit.
+        If an input has no limit, or there is a latency with a disturbance observer.
     """
 
     def __init__(
@@ -114,6 +114,8 @@ class Network(Policy):
         q = len(task.outputs) + errors * len(task.goals)
         self._network = NETWORKS[kind](q, len(task.inputs), units, bound)
         self._observer = OBSERVERS[observer](task.without_targets, nominal, noise)
+        if latency and observer == "disturbance":
+            raise ValueError("latency: observer=disturbance takes delays from the model; declare them there")
         if latency:
             self._observer = LookAhead(task.without_targets, nominal, self._observer, latency)
         self._n = len(task.without_targets.states)

@@ -187,7 +187,7 @@ class KalmanFilter(Observer):
             largest[unit] = max(by_inputs[rate], largest.get(unit, 0.0))
         pairs = [(i, rate) for i, rate in pairs if largest[states[rate].unit] > 2 * EXACT / dt]
         if self._disturbed and not pairs:
-            raise ValueError("no input acts on the rate of a position, so no disturbance can be estimated")
+            raise ValueError("no input acts on a rate that has a position, so no disturbance is estimated")
         effects = np.zeros((self._n, len(pairs)))
         for column, (position, rate) in enumerate(pairs):
             effects[[position, rate], column] = dt**2 / 2, dt

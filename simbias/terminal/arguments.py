@@ -5,12 +5,14 @@ from __future__ import annotations
 import argparse
 from collections.abc import Collection, Mapping, Sequence
 from difflib import get_close_matches
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 from simbias.config import ConfigError, options, sweeps
 
 PROGRAM = "python -m simbias"
+HELP = {"-h", "--help"}
 RUN = "run"  # the default command
 
 EXAMPLES = """\
@@ -76,9 +78,10 @@ def parse(arguments: Sequence[str] | None, version: str) -> argparse.Namespace:
         if rest and "=" not in rest[0] and rest[0][:1] not in ("-", "~"):
             known_names = ", ".join(get_close_matches(rest[0], commands, len(commands), 0.0))
             raise ConfigError("", f"no such command: {rest[0]}; available: {known_names}")
-        for word in rest:
-            if word in commands:
-                raise ConfigError("", f"write the command first: {PROGRAM} {word} {rest[0]} ...")
+        if rest and "=" in rest[0] and not HELP & {*rest}:
+            for before, word in pairwise(rest):
+                if word in commands and not before.startswith("-"):
+                    raise ConfigError("", f"write the command first: {PROGRAM} {word} {rest[0]} ...")
         rest = [RUN, *rest]
     parsed, behind = parser.parse_known_args(rest)
     words: Any = vars(parsed).get("words", vars(parsed).get("overrides"))

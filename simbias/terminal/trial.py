@@ -116,9 +116,9 @@ def _ended(folder: TrialFolder) -> bool:
 
 
 def cost_text(cost: float) -> str:
-    """A cost in at most eight characters."""
+    """A cost in at most eight characters, if it is positive."""
     if 0 < abs(cost) < SMALL:
-        return f"{cost:.3g}"
+        return f"{cost:#.3g}"
     return f"{cost:.3f}" if cost < 1000 else f"{cost:.2e}".replace("e+0", "e")
 
 

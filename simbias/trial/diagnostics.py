@@ -58,7 +58,8 @@ def of_policy(
     theta: Array, model: Model | None, search: Search | None, earlier: Sequence[Iteration]
 ) -> Iterator[Remark]:
     """Oddities of a policy theta (p,), searched or not, that was made on a model after earlier iterations."""
-    planned = model is not None and isinstance(model.policy, Trajectory)  # only gains differ
+    policy = None if model is None else model.policy
+    planned = isinstance(policy, Trajectory) and not policy.searched_knots  # only gains differ
     if search is not None and search.optimum.flat and not planned:
         optimum = search.optimum
         yield Remark(

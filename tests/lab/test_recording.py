@@ -380,7 +380,7 @@ def test_what_cannot_be_meant_so_is_one_line(read: Read, table: pd.DataFrame) ->
         (
             without.assign(pos1=40.0 * np.sin(without.index / 12.5)),
             {},
-            r"column pos1 jumps by more than half a turn, but goes through 12\.\d turns, so it is not",
+            r"jumps by more than half a turn \d+ times, but goes through 12\.\d turns: is it in degrees",
         ),
         (table.assign(pos1=0.5), {}, r"one\.csv: pos1 never changes, but vel1 does: is it stuck\?"),
         (table.assign(time=1.7e9), {}, r"one\.csv: column time: all \d+ times are the same"),
@@ -407,6 +407,15 @@ def test_inputs_beyond_their_limits_are_told_or_refused(
     assert any(re.fullmatch(said, note) for note in found.notes)
     with one_line(r"one\.csv: column I1: tau1 reaches \S+ N m, beyond the limit of", HardwareError):
         read(table.assign(I1=1e3 * table["tau1"]).drop(columns="tau1"), tau1="I1")
+
+
+def test_a_counted_angle_that_is_reset_once_is_cut_there(read: Read, table: pd.DataFrame) -> None:
+    """It goes through more than a turn, so it is not wrapped, but one reset is no sign of degrees."""
+    turning = table.assign(pos1=4.0 + table["pos1"] + 8.0 * table["time"], vel1=table["vel1"] + 8.0)
+    reset = turning.assign(pos1=np.where(table.index < 200, turning["pos1"], turning["pos1"] - 5.5))
+    found = read(reset)
+    assert len(found.pieces) > 1 or any("unwrapped" in note for note in found.notes)
+    assert sum(piece.frames for piece in found.pieces) > 0.8 * read(turning).pieces[0].frames
 
 
 def test_a_rotor_that_pulls_is_beyond_its_lower_limit(tmp_path: Path) -> None:

@@ -95,7 +95,7 @@ def late(task: Task, study: Study, frames: float) -> Rig:
 def written(cartpole: Study, turning: Task, observer: ObserverKind) -> tuple[list[Rollout], list[Rollout]]:
     """Rollouts by the lanes' loop and by NumPy's."""
     policy: Policy = Network(turning, cartpole.nominal, errors=True, observer=observer)
-    if observer in ("filter", "model", "disturbance"):
+    if observer in ("filter", "model", "kalman", "disturbance"):
         policy = Switched(turning, cartpole.nominal, "rbf", units=5, observer=observer)
         policy = policy.designed_on(late(turning, cartpole, 1.3))
     noise = Noise(turning, {"velocity_variance": 1e-4}).draw(np.random.default_rng(0))
@@ -108,7 +108,7 @@ def written(cartpole: Study, turning: Task, observer: ObserverKind) -> tuple[lis
 
 @pytest.mark.slow
 def test_written_they_are_what_they_are_in_numpy(cartpole: Study, turning: Task) -> None:
-    """With noise, and around a turn; every other observer is a switched policy's. Kalman's looks ahead.
+    """With noise, and around a turn; most observers are a switched policy's. Kalman's look ahead.
 
     `test_moving.py` has a switched policy compiled.
     """
@@ -233,7 +233,7 @@ def test_a_steady_wind_that_the_model_lacks_is_estimated(wind: float, seed: int)
     assert (behind[:, 1] > 0.02 * wind).all()
     assert (exact < 1e-6).all()
     assert kept[-1] == pytest.approx(wind)
-    with one_line("observer: .* so no disturbance can be estimated", ValueError):
+    with one_line("observer: .* so no disturbance is estimated", ValueError):
         KalmanFilter(task, NoNominal(task, kinematics=True), noise, True)
 
 

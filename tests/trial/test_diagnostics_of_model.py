@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 import simbias
-from simbias.core.records import Iteration, Rollout
+from simbias.core.records import Iteration, Optimum, Rollout, Search
 from simbias.learning.bias.none import ConstantBias
 from simbias.learning.identification.directions import undetermined
 from simbias.learning.identification.identified import Identified
 from simbias.search.evaluation.robust import Robust
 from simbias.search.lqr import INPUT_WEIGHTS, lqr_policies
-from simbias.trial.diagnostics import of_inputs, of_model, of_prediction, of_trial
+from simbias.trial.diagnostics import of_inputs, of_model, of_policy, of_prediction, of_trial
 from simbias.trial.study import Study
 from simbias.trial.summary import iteration_summary
 
@@ -96,3 +96,16 @@ def test_an_input_that_changes_much_from_frame_to_frame_is_told(
     assert not told or said[0].startswith(f"{force.name} changes by 11% of its range from frame to frame")
     assert not told or said[0].endswith(" inputs in the cost may help")  # no filter
     assert not list(of_inputs([Rollout(states[:2], inputs[:1])], study))
+    filtered = simbias.load(["preset=cartpole_trajectory", "tracking=none"])
+    made = Rollout(states, inputs * filtered.task.input_limit / study.task.input_limit)
+    assert [each.words.endswith("noisy rates (policy.observer)") for each in of_inputs([made], filtered)] == [
+        True
+    ] * told
+
+
+def test_plans_that_cost_the_same_are_not_arbitrary_unless_they_are_searched() -> None:
+    search = Search(Optimum(np.zeros(1), 2.0, 3, "evaluations", flat=True), 0.0)
+    for preset, count in (("cartpole_trajectory", 0), ("[cartpole_trajectory,near_plan]", 1)):
+        model = simbias.load([f"preset={preset}", "tracking=none"]).first_model()
+        said = of_policy(np.zeros(model.policy.n_parameters), model, search, [])
+        assert [each.kind for each in said] == ["all simulated policies cost the same"] * count

@@ -130,7 +130,8 @@ def logarithmic(*all_axis: Axis) -> None:
     def number(axis: Axis, value: float, _: int | None) -> str:
         whole = axis.get_figure(root=True)
         beside = (each for axes in (whole.axes if whole else ()) for each in (axes.xaxis, axes.yaxis))
-        ends = [end for each in beside if each.get_scale() == "log" for end in each.get_view_interval()]
+        alike = [axis, *(each for each in beside if each.get_scale() == "log")]
+        ends = [end for each in alike for end in each.get_view_interval()]
         return f"{value:g}" if min(ends) >= 10.0**-FAR and max(ends) <= 10.0**FAR else with_power(value)
 
     for axis in all_axis:

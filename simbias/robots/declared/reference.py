@@ -147,7 +147,8 @@ def _violations(
 ) -> Iterator[str]:
     """Where goal values (T, g) of states, each alone or all together, violate failure criteria, in words."""
     goals = {name: column for name, column in zip(names, values.T, strict=True) if name in states}
-    for given in (*({name: column} for name, column in goals.items()), goals):
+    together = [goals] if len(goals) > 1 else []
+    for given in (*({name: column} for name, column in goals.items()), *together):
         x = np.column_stack([given.get(name, np.full(len(times), np.nan)) for name in states])
         for criterion, each in zip(criteria, measure(x).T, strict=True):
             if (beyond := each > criterion.limit).any():
