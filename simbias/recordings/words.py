@@ -205,7 +205,7 @@ def reach_lines(assessment: Assessment) -> Iterator[str]:
 def advice(assessment: Assessment, excitation: Excitation | str) -> Iterator[str]:
     """Sentences about priors, convergence, integration steps, windows, and the next trajectory."""
     if far := [each.prior.name for each in assessment.findings if FAR in each.doubts]:
-        yield f"{', '.join(far)}: so far from what is declared, priors may distort all estimates. {WIDER}."
+        yield f"Far from what is declared, so priors may distort all estimates: {', '.join(far)}. {WIDER}."
     if (moved := assessment.identified.diagnostics.get("moved", 0.0)) > STILL_MOVES:
         yield f"Estimates have not converged: the last round moved them by {moved:.2g} deviations. {ROUNDS}."
     if stepped := _stepped(assessment):

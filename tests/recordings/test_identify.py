@@ -287,7 +287,9 @@ def test_what_is_advised_may_help(assessment: Assessment) -> None:
     )
     off = replace(first, passing=(FAR,))
     told, *_, rest = advice(replace(assessment, findings=[off, *others]), useless)
-    assert told.startswith(f"{first.prior.name}: so far from what is declared, priors may")
+    assert told.startswith(
+        f"Far from what is declared, so priors may distort all estimates: {first.prior.name}. Enlarge"
+    )
     assert first.prior.name not in rest
     own = replace(first, prior=first.prior._replace(of_recording=True))
     told = [" ".join(advice(replace(assessment, findings=[each, *others]), useless)) for each in (first, own)]

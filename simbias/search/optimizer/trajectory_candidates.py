@@ -101,8 +101,8 @@ def _warn_of_few_knots(plan: Plan, followed: Plan | None, knots: int, task: Task
     """Warn if the knots, between which the policy is linear, do not represent a plan well."""
     misses = followed is not None and task.succeeds(plan.states) and not task.succeeds(followed.states)
     if followed is None or misses or followed.cost > DEARER * plan.cost:
-        then = "fails" if followed is None else "misses its goal and " * bool(misses)
-        then += "" if followed is None else f"costs {followed.cost:.3g}"
+        missing = "misses its goal and " * bool(misses)
+        then = "fails" if followed is None else f"{missing}costs {followed.cost:.3g}"
         message = (
             f"a plan costs {plan.cost:.3g} in simulation, but followed with policy.knots={knots} it {then}; "
             f"policy.knots={task.horizon + 1} has one per frame"
