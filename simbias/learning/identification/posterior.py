@@ -102,7 +102,7 @@ class Posterior(Identification):
         window: Seconds = 0.1,
         chunks: Count = 10,
         starts: Count = 32,
-        rounds: Count = 4,
+        rounds: Count = 12,
         evaluations: Count = 12,
         known: Known | None = None,
         motors: dict[str, Motor] | None = None,
