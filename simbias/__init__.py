@@ -112,7 +112,8 @@ def identify(
     """
     from simbias.config import compose
     from simbias.config.build import NOT_OF_RECORDINGS, build
-    from simbias.recordings.assessment import LONGEST, assess, prepared
+    from simbias.recordings.assessment import assess, prepared
+    from simbias.recordings.fitting import LONGEST
     from simbias.recordings.reading import read_apart
 
     composition = compose(overrides, config_dir, allow, NOT_OF_RECORDINGS)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -16,17 +16,15 @@ from simbias.core.records import Array, Rollout
 from simbias.learning.identification.directions import Direction, undetermined
 from simbias.learning.identification.identified import Identified, Known
 from simbias.learning.identification.posterior import Posterior
-from simbias.learning.identification.refinement import moved_by_shorter_steps
 from simbias.recordings.copies import Digest, digests
 from simbias.recordings.findings import Finding, findings
+from simbias.recordings.fitting import Fitting
 from simbias.recordings.horizons import HorizonErrors, overall, predictions
 from simbias.recordings.mistakes import Mistake, mistakes
 from simbias.recordings.parts import Part, others, parts
 from simbias.recordings.reach import Reach, beyond
 from simbias.trial.study import Study
 
-OTHER_WINDOWS = (0.5, 2.0)  # durations of predictions, relative to the chosen one
-LONGEST = max(OTHER_WINDOWS)  # duration that each part must have, in windows
 UNEXPLAINED = 2.0  # times the errors explained by noise and uncertainty: beyond, the model is incomplete
 
 
@@ -177,50 +175,29 @@ def assess(
     """
     if not recordings:
         raise ConfigError("identify", "needs recordings neither held out nor learned: files or folders")
-    posterior = study.identification
-    assert isinstance(posterior, Posterior)
-    all_parts = parts(recordings)
+    task, nominal, fitting = study.task, study.nominal, Fitting(study, progress)
+    everything, all_parts = Part("all recordings", recordings), parts(recordings)
     kept = Part("held-out recordings", held_out) if held_out else None
     judged = [kept] if kept else all_parts
-    _check_length(posterior, [*all_parts, kept] if kept else all_parts)
+    fitting.check_length([*all_parts, *filter(None, [kept])])
 
-    def fit(part: Part, words: str, window: float = 1.0, begin: Posterior = posterior) -> Identified:
-        progress(words)
-        fitting = begin.with_window(window * posterior.window)
-        try:
-            return fitting.identified(study.nominal, part.rollouts, part.recordings)
-        except np.linalg.LinAlgError as error:
-            problem = f"{part.name}: predictions have no finite errors: is a unit or a column wrong?"
-            raise ConfigError("identify", problem) from error
-
-    everything = Part("all recordings", recordings)
-    identified = fit(everything, everything.name)
-    progress("in shorter steps")
-    models_of = study.task, study.nominal, study.nominal_of
-    shorter = moved_by_shorter_steps(
-        *models_of, posterior, identified, everything.rollouts, everything.recordings
-    )
-    alone = [fit(part, f"{part.name} alone") for part in all_parts]
-    by_window = [
-        fit(everything, f"with windows of {factor * posterior.window:g} s", factor)
-        for factor in OTHER_WINDOWS
-    ]
-    apart = list[Identified]()
-    if posterior.known:
-        without_it = fit(everything, "without the earlier posterior", begin=posterior.with_known(None))
-        apart = [posterior.identified(study.nominal, []), without_it]
-    moved = 0.0 if shorter is None else shorter.max(axis=0)
-    found = _with_earlier(findings(identified, alone, by_window, moved, apart), posterior.known)
-    rest = [others(all_parts, i) for i in range(len(all_parts))]
+    identified = fitting.of(everything, everything.name)
+    shorter = fitting.moved_by_shorter_steps(identified, everything)
+    alone = [fitting.of(part, f"{part.name} alone") for part in all_parts]
+    by_window = fitting.by_window(everything)
+    of_one = not kept and len(recordings) == 1
     if kept:
-        models = [identified]
+        models, learned = [identified.elsewhere()], fitting.unseen(alone, all_parts)
     else:
-        models = alone[::-1] if len(all_parts) == 2 else [fit(each, each.name) for each in rest]
-    one = not kept and len(recordings) == 1  # its parts share its specific parameters
-    models = [model.of_recording(0) if one else model.elsewhere() for model in models]
-    own = [] if one else [*_with_own(models, posterior, study.nominal, judged, progress)]
-    pairs = zip(alone, rest, strict=True)
-    learned = [(model.elsewhere(), unseen.rollouts) for model, unseen in pairs] if kept else []
+        models, learned = fitting.of_others(alone, all_parts, of_one), []
+    own = [] if of_one else [*fitting.with_own(models, judged)]
+    found = findings(
+        identified,
+        alone,
+        [*by_window.values()],
+        0.0 if shorter is None else shorter.max(axis=0),
+        fitting.apart(everything),
+    )
     assessment = Assessment(
         study,
         list(recordings),
@@ -228,16 +205,13 @@ def assess(
         all_parts,
         kept,
         models,
-        found,
-        own_findings(list(recordings), identified, by_window, shorter),
-        predictions(study.task, study.nominal, models, [part.rollouts for part in judged], learned, own),
-        mistakes(study.task, [study.nominal, identified], _named_apart(recordings, held_out or {})),
-        {
-            factor * posterior.window: other.mean_deviation / identified.mean_deviation
-            for factor, other in zip(OTHER_WINDOWS, by_window, strict=True)
-        },
+        _with_earlier(found, fitting.known),
+        own_findings(list(recordings), identified, [*by_window.values()], shorter),
+        predictions(task, nominal, models, [part.rollouts for part in judged], learned, own),
+        mistakes(task, [nominal, identified], _named_apart(recordings, held_out or {})),
+        {w: each.mean_deviation / identified.mean_deviation for w, each in by_window.items()},
         shorter is not None,
-        _learned(posterior.known, recordings, study.task.time_step),
+        _learned(fitting.known, recordings, task.time_step),
     )
     return assessment.doubted(doubt)
 
@@ -278,31 +252,3 @@ def own_findings(
         of_all = findings(fits[0], [], fits[1:], shifts)
         found[name] = [each for each in of_all if each.prior.of_recording]
     return found
-
-
-def _with_own(
-    models: Sequence[Identified],
-    posterior: Posterior,
-    nominal: Nominal,
-    parts: Sequence[Part],
-    progress: Callable[[str], object],
-) -> Iterator[tuple[Identified, Sequence[Rollout]]]:
-    """Each part's model, its specific parameters fitted to each of the part's recordings; others unchanged.
-
-    None without specific parameters.
-    """
-    own = np.diag([float(parameter.of_recording) for parameter in models[0].parameters])
-    for model, part in zip(models, parts, strict=True) if own.any() else ():
-        progress(f"what is specific to {part.name}")
-        fitting = posterior.with_known(replace(model.known, spread=own.tolist()))
-        for name, pieces in part.pieces.items():
-            fitted = fitting.identified(nominal, pieces, [name] * len(pieces))
-            yield fitted.with_spread(np.hstack([model.spread - own, fitted.spread])), pieces
-
-
-def _check_length(posterior: Posterior, all_parts: Sequence[Part]) -> None:
-    """Refuse parts that are too short for predictions."""
-    longest = posterior.with_window(LONGEST * posterior.window)
-    for part in all_parts:
-        if not longest.windows(part.rollouts):
-            raise ConfigError(part.name, f"is shorter than a window of {longest.window:g} s")

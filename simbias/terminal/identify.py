@@ -18,9 +18,10 @@ from simbias.lab.recorded import Recorded
 from simbias.learning.identification.posterior import Posterior
 from simbias.learning.noise import noise_of
 from simbias.recordings import words
-from simbias.recordings.assessment import LONGEST, Assessment, assess, prepared
+from simbias.recordings.assessment import Assessment, assess, prepared
 from simbias.recordings.excitation import Designer, Excitation
 from simbias.recordings.files import GROUP, OPTION, check_replaces_nothing, write
+from simbias.recordings.fitting import LONGEST
 from simbias.recordings.reading import Recordings, learned_files, read_apart
 from simbias.terminal.lines import progress, say, standard_output
 from simbias.terminal.notices import preparing
