@@ -159,9 +159,10 @@ def _add_of_recordings(commands: Any, own: argparse.ArgumentParser) -> None:
     held_out = "held-out recordings, which are predicted but never fitted"
     identify.add_argument("--held-out", nargs="+", default=[], metavar="FILE", help=held_out)
     attach = "then start a trial with the identified model"
-    identify.add_argument("--attach", action="store_true", help=attach)
-    recover = "only simulate such recordings, and report which parameters they would recover"
-    identify.add_argument("--recover", action="store_true", help=recover)
+    recover = "only simulate such recordings, and report which parameters they would recover; writes nothing"
+    either = identify.add_mutually_exclusive_group()
+    either.add_argument("--attach", action="store_true", help=attach)
+    either.add_argument("--recover", action="store_true", help=recover)
     excite.add_argument("--seconds", type=float, default=5.0, help="duration (default: 5)")
 
 

@@ -175,7 +175,7 @@ def test_options_may_stand_anywhere() -> None:
     for at in range(4):
         parsed = parse(["identify", *places[:at], "--into", "x", *places[at:]], "0")
         assert (parsed.words, parsed.into) == (places, "x")
-    for wrong in (["--recovers", "seed=1"], ["seed=1", "--port", "3"]):
+    for wrong in (["--recovers", "seed=1"], ["seed=1", "--port", "3"], ["--recover", "--attach"]):
         with pytest.raises(SystemExit):
             parse(["identify", *wrong], "0")
 
