@@ -432,10 +432,21 @@ def test_a_task_reads_its_states_in_the_order_of_the_models_joints(tmp_path: Pat
             Mujoco(cart_pole(**read), file, joints=["hinge", "slider"])
 
 
-def test_a_policy_that_predicts_by_the_engine_is_no_code_and_says_so() -> None:
-    study = simbias.load(["preset=double_cartpole", "policy=mlp", "policy.latency=0.02", "tracking=none"])
-    why = formulas_of(study.policy, study.task, np.zeros(study.policy.n_parameters))
-    assert "the policy predicts with MuJoCo's engine, which has no formula" in str(why)
+def test_a_policy_that_predicts_by_the_engine_is_compiled_but_no_code() -> None:
+    predicts = ["policy=mlp", "policy.observer=kalman", "policy.latency=0.02"]
+    study = simbias.load(["preset=double_cartpole", *predicts, "tracking=none"])
+    rng, model = np.random.default_rng(0), study.first_model()
+    thetas = rng.uniform(-1.0, 1.0, (20, study.policy.n_parameters))
+    starts = np.stack([study.task.draw_start(rng) for _ in thetas])
+    compiled = CompiledSimulator.of(model, None)
+    assert compiled
+    plain = PlainSimulator([model], [None]).rollouts(thetas, starts)
+    assert max(rollout.frames for rollout in plain) > 5
+    for made, expected in zip(compiled.rollouts(thetas, starts), plain, strict=True):
+        np.testing.assert_allclose(made.states, expected.states, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(made.inputs, expected.inputs, rtol=1e-9, atol=1e-9)
+    why = formulas_of(study.policy, study.task, thetas[0])
+    assert "it predicts with a model that has no formula, such as MuJoCo's" in str(why)
 
 
 def test_without_mujoco_it_is_said_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,6 +17,7 @@ from simbias.core.records import Array
 from simbias.robots.mujoco.kernel import ABSURD, EngineModel, Places, kernel
 from simbias.robots.mujoco.mjcf import Mechanism
 from simbias.robots.mujoco.parameters import Factors, Values, changes, mujoco, names_of, unit_of, values_of
+from simbias.simulation.compiler import is_traced, traced_call
 
 FEW = 64  # states: for fewer, starting threads takes longer than it saves
 
@@ -77,15 +78,9 @@ class Mujoco(Nominal):
         self.parameters = uncertain(known, units, spreads)
 
     def step(self, x: Array, u: Array) -> Array:
-        """x_next (..., n), one frame after x (..., n) under u (..., m); a diverged state stays diverged.
-
-        Raises
-        ------
-        TypeError
-            If x or u holds symbols, as when tracing a policy that predicts with this model.
-        """
-        if object in (x.dtype, u.dtype):
-            raise TypeError("the policy predicts with MuJoCo's engine, which has no formula")
+        """x_next (..., n), one frame after x (..., n) under u (..., m); a diverged state stays diverged."""
+        if is_traced(x, u):  # of a policy that predicts with this model
+            return traced_call(self.kernel, x.shape[-1], x, u)
         leading = np.broadcast_shapes(x.shape[:-1], u.shape[:-1])
         x, u = (np.broadcast_to(a, (*leading, a.shape[-1])).reshape(-1, a.shape[-1]) for a in (x, u))
         x_next = np.full_like(x, np.nan)

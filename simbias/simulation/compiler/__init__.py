@@ -9,6 +9,7 @@ Everything used elsewhere is imported from here.
 | kernels for all lanes at once | `lanes` |
 | components that are written in YAML | `expressions` |
 | tables that a policy looks up by the time | `tables` |
+| models in a policy that have no formula | `calls` |
 | kernels of a model, its policy and cost | `tracing`, `symbols`, `rules`, `agreement` |
 | a policy's formulas, in C and in Python | `tracing`, `written` |
 | the loops that run them | `closed_loop`, `open_loop`, `loop`, `threads` |
@@ -17,6 +18,7 @@ Everything used elsewhere is imported from here.
 # ruff: noqa: F401  (names for others to import)
 
 from simbias.simulation.compiler.agreement import points_among, points_of
+from simbias.simulation.compiler.calls import is_traced, traced_call
 from simbias.simulation.compiler.choices import at_least, at_most
 from simbias.simulation.compiler.closed_loop import LoopKernels, compile_closed_loop
 from simbias.simulation.compiler.compilation import compiled_as, function_of

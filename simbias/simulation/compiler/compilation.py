@@ -67,15 +67,15 @@ def compiled_as(substitute: Callable) -> Callable[[_Function], _Function]:
     return mark
 
 
-_FUNCTIONS: dict[tuple[str, str], Callable] = {}
+_FUNCTIONS: dict[tuple[Any, ...], Callable] = {}
 
 
 def function_of(text: str, name: str, **names: Any) -> Callable:
-    """The function that a text defines, given these names; the same text gives the same function.
+    """The function that a text defines, given these names; the same of both gives the same function.
 
     The text must not contain anything from a config: see `simbias.simulation.compiler.expressions`.
     """
-    key = (text, name)
+    key = (text, name, *((each, id(value)) for each, value in names.items()))
     if key not in _FUNCTIONS:
         namespace = {**names, "__name__": __name__}
         exec(compile(text, f"<{name}>", "exec"), namespace)

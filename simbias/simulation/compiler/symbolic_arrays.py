@@ -61,7 +61,7 @@ def _conditions(values: Any) -> Iterator[bool]:
 
 def _truths(values: Any, others: Any) -> Any:
     """Values as conditions, in the trace of some symbols."""
-    trace = _trace_of([others])
+    trace = trace_of([others])
     return values if trace is None else _ALL_TRUE(_known(values, trace))
 
 
@@ -112,7 +112,7 @@ def applied(ufunc: np.ufunc, method: str, inputs: Sequence[Any], options: Mappin
     if ufunc not in _ELEMENTWISE and ufunc not in _PRODUCTS:
         raise TraceError(f"np.{ufunc.__name__} of values is not supported")
     _check_options(ufunc, options)
-    trace = _trace_of(inputs)
+    trace = trace_of(inputs)
     passed_on = {name: options[name] for name in _PASSED_ON if name in options}
     if trace is None:
         made = getattr(ufunc, method)(*map(_plain, inputs), **passed_on)
@@ -159,7 +159,7 @@ def _plain(values: Any) -> Any:
     return np.asarray(values, np.float64) if isinstance(values, Symbols) else values
 
 
-def _trace_of(values: Any) -> Trace | None:
+def trace_of(values: Any) -> Trace | None:
     """The trace of the first symbol in arrays and lists of them, if there is one."""
     for value in values:
         if isinstance(value, Symbol):
@@ -218,7 +218,7 @@ def _viewed(made: Any) -> Any:
 
 
 def _where(condition: Any, a: Any, b: Any) -> Any:
-    trace = _trace_of([condition, a, b])
+    trace = trace_of([condition, a, b])
     if trace is None:
         return np.where(*map(_plain, (condition, a, b)))
     return _viewed(_CHOOSE(*(_known(each, trace) for each in (condition, a, b))))
@@ -251,7 +251,7 @@ def _filled(value: float) -> Callable:
 
 def _interp(x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None) -> Any:
     """Interpolation of a constant table: the row is selected, then the value is computed as in NumPy."""
-    if _trace_of([xp, fp, left, right]) or np.size(xp) < 2:
+    if trace_of([xp, fp, left, right]) or np.size(xp) < 2:
         raise TraceError("a table of values, or of one row, is not supported")
     with np.errstate(all="ignore"):
         rows = np.array([xp[:-1], fp[:-1], np.diff(fp) / np.diff(xp)], np.float64).T

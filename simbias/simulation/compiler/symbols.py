@@ -8,8 +8,9 @@ passes it to something other than NumPy, gets a `TraceError`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,7 @@ class Trace:
 
     def __init__(self) -> None:
         self.symbols: list[Symbol] = []
+        self.functions: dict[str, Callable] = {}  # that are called, by their names in the text
         self._known: dict[tuple, Symbol] = {}
         self._counted = 0  # number of symbols, except arguments and table entries, which need no compilation
 
@@ -57,12 +59,21 @@ class Trace:
         """A number of a table."""
         return self._add("number", value=float(value), counts=False)
 
-    def operation(self, name: str, *operands: Symbol, truth: bool = False) -> Symbol:
-        """An operation's result; the same operation gives the same symbol."""
+    def operation(self, name: str, *operands: Symbol, truth: bool = False, text: str | None = None) -> Symbol:
+        """An operation's result; the same one gives the same symbol. `text` is that of a call."""
         key = (name, *(operand.index for operand in operands))
         if key not in self._known:
-            self._known[key] = self._add(name, operands, truth=truth)
+            self._known[key] = self._add(name, operands, value=text, truth=truth)
         return self._known[key]
+
+    def call(self, function: Callable, *vectors: Sequence[Symbol], size: int) -> list[Symbol]:
+        """The numbers (size,) that a function of vectors gives."""
+        names = {known: name for name, known in self.functions.items()}
+        name = names.get(function, f"called{len(names)}")
+        self.functions[name] = function
+        given = ", ".join(f"({'{}, ' * len(each)})" for each in vectors)
+        made = self.operation(name, *chain.from_iterable(vectors), text=f"{name}({given})")
+        return [self.operation(f"result {i}", made, text=f"{{}}[{i}]") for i in range(size)]
 
     def _add(
         self,
@@ -94,7 +105,7 @@ class Symbol(NDArrayOperatorsMixin):
         self.index = len(trace.symbols)  # in the trace, after its operands
         self.name = name  # of the operation
         self.operands = operands
-        self.value = value  # of a number; for an argument, its name
+        self.value = value  # of a number; for an argument, its name; for a call, its text
         self.truth = truth  # whether it is a condition
         self.whole = whole  # whether it is a number that is written literally
         self.quotient_of: tuple[Symbol, Symbol] | None = None  # the quotient that this product replaces

@@ -186,7 +186,11 @@ def formulas_of(policy: Policy, task: Task, theta: Array, method: str = "act") -
     def trace(subject: Callable) -> Formulas:
         return _formulas(Trace(), subject, policy, task, theta[None])
 
-    part = _part(policy, method, trace, lambda subject, formulas: None)
+    def check(subject: Callable, formulas: Formulas) -> None:
+        if formulas.trace.functions:
+            raise TraceError("it predicts with a model that has no formula, such as MuJoCo's")
+
+    part = _part(policy, method, trace, check)
     return part.kernel or part.why_not
 
 

@@ -156,7 +156,7 @@ def statements(
             lines.append(language.table.format(column, ", ".join(entries)))
             text = language.interpolated.format(f"{t} / {spacing}", len(entries), column)
         else:
-            text = language.operations[symbol.name].format(*operands)
+            text = (symbol.value or language.operations[symbol.name]).format(*operands)
         if text == operands[0]:
             names[symbol.index] = text
         elif uses[symbol.index] == 1 and len(text) < SHORT:
@@ -222,7 +222,7 @@ def written(
     lines.append(f"return {', '.join(vectors)}")
     text = f"def traced({arguments}):\n    " + "\n    ".join(lines) + "\n"
     values = np.array([each.value for each in numbers], np.float64)
-    return Kernel(function_of(text, "traced", **NAMES), values)
+    return Kernel(function_of(text, "traced", **NAMES, **trace.functions), values)
 
 
 def needed(trace: Trace, results: Sequence[Sequence[Symbol]], known: Collection[int] = ()) -> list[Symbol]:
