@@ -146,9 +146,11 @@ class Network(Policy):
         return self._with_targets(own, x)
 
     def ask(self, theta: Array, estimate: Array, t: float) -> Array:
-        """Inputs u (..., m) at an estimate (..., n) of the state."""
+        """Inputs u (..., m) at an estimate (..., n) of the state when they act, which is ahead of time t."""
         z = self._task.output(estimate)
-        z = np.concatenate([z, self._task.error(estimate, t)], axis=-1) if self._errors else z
+        if self._errors:
+            acting = t + self._observer.seconds_ahead if self._observer.seconds_ahead else t
+            z = np.concatenate([z, self._task.error(estimate, acting)], axis=-1)
         return self._middle + self._half * self._network(theta[..., : self._weights], z)
 
     def ahead(self, estimate: Array, kept: Array) -> Array:

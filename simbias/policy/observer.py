@@ -50,6 +50,11 @@ class Observer(ABC):
         """The state (..., n) when the next input acts, accounting for known delays."""
         return estimate
 
+    @property
+    def seconds_ahead(self) -> float:
+        """How far the state of `ahead` is ahead of the time, in s."""
+        return self.frames_ahead * self._task.time_step
+
     def designed_on(self, nominal: Nominal) -> Observer:
         """The observer designed on an identified model; itself if it uses no model or the declared one."""
         return self
@@ -169,7 +174,8 @@ class KalmanFilter(Observer):
     def _linear(self) -> tuple[Array, Array]:
         """The linear model A (n, n), and the covariance W (n, n) of its process noise in a frame."""
         limit = input_scale(self._task)
-        A, B = linearization(self._nominal.without_dry_friction(), *self._balance(), limit)
+        x, self._holding = self._balance()
+        A, B = linearization(self._nominal.without_dry_friction(), x, self._holding, limit)
         by_inputs = (DISTURBANCE * limit * B) @ (DISTURBANCE * limit * B).T
         return A, by_inputs + ELSEWHERE**2 * np.diag(np.diag(by_inputs)) + EXACT**2 * np.eye(len(A))
 
@@ -243,9 +249,11 @@ class KalmanFilter(Observer):
     def ahead(self, estimate: Array, kept: Array) -> Array:
         """The state (..., n) after the frames in which the inputs already sent act."""
         _, model_state, unknown = self._parts(kept)
-        nothing = 0.0 * estimate[..., : len(self._task.inputs)]
+        u = 0.0 * estimate[..., : len(self._task.inputs)]
+        if self._holding.any():  # of the next input, part may act meanwhile, if its delay is no whole frame
+            u = u + self._holding
         for _ in range(self.frames_ahead):
-            estimate, model_state = self._advanced(estimate, nothing, model_state, unknown)
+            estimate, model_state = self._advanced(estimate, u, model_state, unknown)
         return estimate
 
     def _parts(self, kept: Array) -> tuple[Array, Array, Array]:
@@ -284,6 +292,11 @@ class LookAhead(Observer):
         self._latency, self._inputs = latency, task.frames(latency)
         self.size = observer.size + self._inputs * len(task.inputs)
 
+    @property
+    def seconds_ahead(self) -> float:
+        """The latency, and how far the other observer looks ahead, in s."""
+        return self._observer.seconds_ahead + self._latency
+
     def designed_on(self, nominal: Nominal) -> LookAhead:
         """The same extrapolation, with the other observer designed on this model."""
         own = self._observer.designed_on(nominal)
@@ -296,8 +309,9 @@ class LookAhead(Observer):
     def keep(self, x: Array, estimate: Array, u: Array, t: Any, kept: Array) -> Array:
         """The other observer's state, and the sent inputs, oldest first."""
         own, sent = kept[..., : self._observer.size], kept[..., self._observer.size :]
-        own = self._observer.keep(x, estimate, u, t, own)
-        return np.concatenate([own, sent[..., len(self._task.inputs) :], u], axis=-1)
+        m = len(self._task.inputs)
+        own = self._observer.keep(x, estimate, sent[..., :m], t, own)  # the input that acted after x
+        return np.concatenate([own, sent[..., m:], u], axis=-1)
 
     def ahead(self, estimate: Array, kept: Array) -> Array:
         """The state (..., n) when the next input acts."""

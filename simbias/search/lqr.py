@@ -18,13 +18,14 @@ from scipy.linalg import block_diag
 
 from simbias.core import Model, StudyWarning
 from simbias.core.records import MEMORY, Array
-from simbias.simulation.goal import resting_goal
+from simbias.simulation.goal import held, resting_goal
 from simbias.simulation.linearization import STEP, advanced, derivatives, input_scale, linear_regulator
 
 INPUT_WEIGHTS = (10.0, 100.0, 1000.0, 10000.0)  # R of inputs at their limits; Q of a state of one unit is 1
 MODEL_STATE_WEIGHT = 1e-9  # Q of the model state
 STEADY = 0.03  # share of the input limits: steady disturbance in records of a regulator with an integral
 NEAR = 1e-3  # weight of the distance from zero, relative to accelerations: selects the nearest equilibrium
+OF_INPUTS = 1e-2  # of this weight, for steady inputs that hold given states
 NEARER = 1e-6  # weight of the distance from a goal, relative to changes per frame: slow drifts stop too
 RECORDS, SECONDS = 16, 1.0  # imitated records of the regulated model, and the duration of each,
 EXCITATION = 0.01  # with random inputs of this share of the limits
@@ -114,7 +115,7 @@ def _regulating(
     integral then finds the steady input; without one, they rest elsewhere.
     """
     try:
-        linear = linearised(model, goal)
+        linear = linearised(model, _held(model, goal, sticking))
         if integral_weight:
             linear = _with_integrals(model, linear, integral_weight)
     except (ValueError, np.linalg.LinAlgError):  # a drawn model may not be finite even at rest
@@ -136,6 +137,12 @@ def _regulating(
     if policies and offset and not integral_weight:
         warnings.warn(STEADY_INPUT.format(type(model.policy).__name__), StudyWarning, stacklevel=3)
     return policies
+
+
+def _held(model: Model, goal: Array | None, sticking: bool) -> Array | None:
+    """The states (n,) to rest at: a goal, or zero if inputs can hold it; None: nearest to zero."""
+    zero = np.zeros(len(model.task.states))
+    return zero if goal is None and not sticking and held(model.task, model.nominal, zero) else goal
 
 
 def _needs_a_constant(model: Model, linear: Linear, goal: Array | None) -> bool:
@@ -173,9 +180,10 @@ def _acts(model: Model, states: Array, inputs: Array, added: Array) -> bool:
 
 
 def rest(model: Model, near: Array | None = None, exactly: bool = False) -> tuple[Array, Array]:
-    """The equilibrium states (n,) and inputs (m,) nearest to zero, or to states (n,) with zero input.
+    """The equilibrium states (n,) and inputs (m,) nearest to zero, or to given states (n,).
 
-    Slow drifts are excluded only if `exactly`.
+    These are held as far as inputs can, whatever input this takes. Slow drifts are excluded only if
+    `exactly`.
     """
     from scipy.optimize import least_squares  # lazily: few searches begin with LQR
 
@@ -183,11 +191,14 @@ def rest(model: Model, near: Array | None = None, exactly: bool = False) -> tupl
     n, rates = len(task.states), 1 / task.time_step
     begin = np.zeros(n + len(task.inputs))
     begin[:n] = 0.0 if near is None else near
+    pulls = np.ones(len(begin))
+    if near is not None:
+        pulls[n:] = OF_INPUTS
 
     def residuals(both: Array, scale: float, weight: float) -> Array:
         x, u = both[:n], both[n:] * limit
         moved = model.nominal.step(x, u) + model.bias.correction(x, u) - x
-        return np.concatenate([scale * moved, weight * (both - begin)])
+        return np.concatenate([scale * moved, weight * pulls * (both - begin)])
 
     with np.errstate(all="ignore"):  # the search tries extreme values
         found = least_squares(residuals, begin, xtol=1e-12, ftol=1e-12, args=(rates, NEAR)).x

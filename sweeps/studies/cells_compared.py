@@ -21,6 +21,7 @@ from simbias.core.proportions import wilson
 from simbias.sweep.statistics import holds, holm, mean_text, passed, sign_test
 from simbias.sweep.tables import left_out
 
+DIGITS = 9  # of a difference: beyond, it is rounding, and cells are equal
 HEAD = ["rival", "cells better, worse, equal", "p", "p, Holm", "mean difference", "worst cell"]
 
 
@@ -42,7 +43,7 @@ def scores(trials: pd.DataFrame) -> pd.DataFrame:
 
 def comparisons(table: pd.DataFrame, method: str, rivals: Sequence[str]) -> Iterator[list[str]]:
     """A row for each rival."""
-    differences = {rival: table[method] - table[rival] for rival in rivals}
+    differences = {rival: (table[method] - table[rival]).round(DIGITS) for rival in rivals}
     p = {rival: sign_test(each.tolist()) for rival, each in differences.items()}
     adjusted = holm(p)
     for rival, each in differences.items():

@@ -24,12 +24,15 @@ from simbias.policy.observer import (
     KalmanFilter,
     LookAhead,
     Measured,
+    ModelObserver,
+    Observer,
     ObserverKind,
 )
 from simbias.policy.switched import Switched
 from simbias.policy.trajectory import Trajectory
 from simbias.robots.none import NoNominal
 from simbias.simulation.compiled import CompiledSimulator
+from simbias.simulation.goal import holding
 from simbias.simulation.linearization import linearization
 from simbias.simulation.noise import Noise
 from simbias.simulation.numpy_loop import PlainSimulator
@@ -336,6 +339,49 @@ def test_the_policy_that_runs_is_that_of_the_model(cartpole: Study, turning: Tas
 
 
 BOARD = ["preset=acrobot_board", "policy.latency=0", "policy.input_weight=100", "tracking=none"]
+
+
+@pytest.mark.parametrize("delay", [1.5, 2.0, 2.7])
+def test_what_the_next_input_does_meanwhile_is_what_holds_the_robot(delay: float) -> None:
+    """A quadrotor that hovers is not seen to fall, by whatever share of a frame its rotors are late."""
+    study = simbias.load(["preset=quadrotor_square", "tracking=none"])
+    task, motor = study.task, Motor(delay=0.02)
+    late = {f"{u.name}.delay": delay * task.time_step for u in task.inputs}
+    rig = with_values(Rig(task, study.nominal, {u.name: motor for u in task.inputs}, {}), **late)
+    observer, hover = KalmanFilter(task, rig), holding(task, study.nominal, np.zeros(6))
+    kept = np.zeros(observer.size)
+    for t in range(10):
+        estimate = observer.estimate(np.empty(0), np.zeros(6), t * task.time_step, kept)
+        ahead = observer.ahead(estimate, kept)
+        kept = observer.keep(np.zeros(6), estimate, hover, t * task.time_step, kept)
+    np.testing.assert_allclose(ahead, 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("observer", [KalmanFilter, ModelObserver])
+def test_late_measurements_are_predicted_by_the_inputs_of_their_time(observer: type[Observer]) -> None:
+    """Without noise, an exact model leaves nothing to correct, whatever the gains."""
+    task, rng, late = PointMass(), np.random.default_rng(0), 4
+    model = WithoutWind(task)
+    ahead = LookAhead(task, model, observer(task, model), late * task.time_step)
+    x, kept = [np.array([0.5, 0.0])] * (late + 1), np.zeros(ahead.size)
+    for t in range(30):
+        estimate = ahead.estimate(np.full(len(ahead.bounds[0]), 0.05), x[t], t * task.time_step, kept)
+        np.testing.assert_allclose(estimate, x[t], atol=1e-12)
+        u = rng.uniform(-5.0, 5.0, 1)
+        x.append(model.step(x[-1], u))
+        kept = ahead.keep(x[t], estimate, u, t * task.time_step, kept)
+
+
+def test_errors_are_those_of_the_goal_when_inputs_act() -> None:
+    """A state that is predicted three frames ahead is compared with the goal of that time."""
+    task = declared(goal={"position": "0.1 * t", "d_position": "0.1"})
+    late = 3 * task.time_step
+    model = NoNominal(task, kinematics=True)
+    ahead, plain = (Network(task, model, errors=True, latency=seconds) for seconds in (late, 0.0))
+    theta, x = drawn(plain, 1)[0], np.array([0.0, 0.1, 0.1, 0.0])  # it stays this fast
+    met = ahead.ahead(x, np.zeros(ahead.state_size))
+    np.testing.assert_allclose(met, x + late * np.array([0.1, 0.0, 0.0, 0.0]), atol=1e-12)
+    np.testing.assert_allclose(ahead.ask(theta, met, 0.0), plain.ask(theta, met, late), atol=1e-12)
 
 
 def board(*overrides: str) -> Study:

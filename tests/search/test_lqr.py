@@ -73,14 +73,14 @@ def test_a_bias_moves_the_rest() -> None:
 
 
 class Elsewhere(PointMass):
-    """To be held at 0.3 m; a policy sees the errors of that, if at all."""
+    """To be held at a place in m; a policy sees the errors of that, if at all."""
 
-    def __init__(self, errors: bool) -> None:
+    def __init__(self, errors: bool, place: float = 0.3) -> None:
         super().__init__()
-        self._errors = errors
+        self._errors, self._place = errors, place
 
     def reference(self, t: Any, targets: Array | None = None) -> Array:
-        return np.array([0.3, 0.0])
+        return np.array([self._place, 0.0])
 
     def output(self, x: Array) -> Array:
         return self.error(x, 0.0) if self._errors else x.copy()
@@ -105,6 +105,23 @@ def test_the_rest_is_at_a_goal_that_is_not_zero(errors: bool) -> None:
     integral = replace(model, policy=IntegralFeedback(task))
     with nullcontext() if errors else pytest.warns(StudyWarning, match="it integrates outputs that are not"):
         lqr_policies(integral, integral_weight=1.0)
+
+
+@pytest.mark.parametrize(("goal", "spring_at"), [(0.3, 0.0), (0.8, 0.0), (0.0, -0.8)])
+def test_a_goal_is_held_against_a_spring(goal: float, spring_at: float) -> None:
+    """The input that this takes is no reason to rest elsewhere."""
+
+    class Sprung(WithoutWind):
+        def step(self, x: Array, u: Array) -> Array:
+            return super().step(x, u - 4.0 * (x[..., :1] - spring_at))
+
+    task = Elsewhere(errors=True, place=goal)
+    task.horizon = 1000
+    held = DynamicOutputFeedback(task, constant=5.0)
+    model = replace(point_mass(), task=task, nominal=Sprung(task), policy=held)
+    (theta, *_) = lqr_policies(model)
+    end = PlainSimulator([model], [None]).rollout(theta, task.start_mean).states[-1]
+    np.testing.assert_allclose(end, [goal, 0.0], atol=0.02)
 
 
 WIND = ConstantBias(2.0 * 0.02 * np.array([0.02, 1.0]), np.zeros(2))  # of 2 N

@@ -118,7 +118,7 @@ class WindowGP(Bias):
         rows = rows[:: max(1, len(rows) // CANDIDATES)]
         inputs = np.concatenate([windows.states[rows], windows.acted(nominal)[rows]], axis=1)
         scale = np.maximum(np.std(inputs, axis=0), 1e-9)
-        hyper = Hyperparameters(scale, np.full(inputs.shape[1], length), 1.0, 0.0, self._d)
+        hyper = Hyperparameters(scale, np.full(inputs.shape[1], length), 1.0, 0.0, self._d).centred(inputs)
         scaled = hyper.scale(inputs)
         chosen, _ = choose(hyper, scaled, Inducing(self._points, 1e-3, 1e-3))
         return hyper, scaled[chosen]
