@@ -4,18 +4,48 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+    from simbias.core.errors import ConfigError
+    from simbias.core.records import Rollout
     from simbias.recordings.assessment import Assessment
     from simbias.sweep.running import SweepObserver
+    from simbias.trial.observer import Observer
     from simbias.trial.run import TrialRecord
     from simbias.trial.study import Study
 
 __version__ = "0.1.0"
+__all__ = [
+    "Assessment",
+    "ConfigError",
+    "Rollout",
+    "Study",
+    "TrialRecord",
+    "identify",
+    "load",
+    "load_trial",
+    "run_sweep",
+    "run_trial",
+]
+_PLACES = {
+    "Assessment": "simbias.recordings.assessment",
+    "ConfigError": "simbias.core.errors",
+    "Rollout": "simbias.core.records",
+    "Study": "simbias.trial.study",
+    "TrialRecord": "simbias.trial.run",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """A class by its name; imported lazily, as the command line's --help needs none."""
+    if name not in _PLACES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_PLACES[name]), name)
 
 
 def load(
@@ -36,6 +66,30 @@ def load(
     from simbias.config.build import build
 
     return build(compose(overrides, config_dir, allow))
+
+
+def run_trial(
+    study: Study, folder: Path | str | None = None, observer: Observer | None = None
+) -> TrialRecord:
+    """Run a study's trial, resume it where it stopped, or replay it if it has ended.
+
+    >>> trial = run_trial(load(["seed=3"]), "trials/mine")
+
+    As on the command line, the user's own components are checked first. Steps in the folder are not repeated.
+    Without a folder, nothing is kept.
+
+    Raises
+    ------
+    simbias.config.ConfigError
+        If a component breaks its contract, the method cannot work with one, or the folder cannot be used.
+    KeyboardInterrupt
+        When interrupted; completed steps are kept.
+    """
+    from simbias.testing.rehearsal import rehearse
+    from simbias.trial import run
+
+    rehearse(study)
+    return run.run_trial(study, None if folder is None else Path(folder), observer)
 
 
 def load_trial(
@@ -102,22 +156,25 @@ def identify(
     >>> found = identify(["recordings"], ["preset=double_pendulum", "identification=posterior"])
     >>> found.better, [finding.trusted for finding in found.findings]
 
-    `columns` maps the task's names to names of columns. A held-out file is never used for fitting, even if
-    `recordings` also names it or a copy of it. Warnings report how the data were changed.
+    `columns` maps the task's names, and `time`, to names of columns with their units, such as `"q1 [deg]"`.
+    `identification=posterior` is chosen if neither an override nor a preset chooses a posterior. A held-out
+    file is never used for fitting, even if `recordings` also names it or a copy of it. Warnings report how
+    the data were changed.
 
     Raises
     ------
     simbias.config.ConfigError
         If an override is bad, nothing is identified, or the recordings are unreadable or too short.
     """
-    from simbias.config import compose
-    from simbias.config.build import NOT_OF_RECORDINGS, build
-    from simbias.recordings.assessment import assess, prepared
+    from simbias.core.errors import check_list
+    from simbias.recordings.assessment import assess
     from simbias.recordings.fitting import LONGEST
     from simbias.recordings.reading import read_apart
+    from simbias.recordings.study import study_of
 
-    composition = compose(overrides, config_dir, allow, NOT_OF_RECORDINGS)
-    study = prepared(build(composition, NOT_OF_RECORDINGS))
+    study = study_of(overrides, config_dir, allow)
+    for name, paths in (("recordings", recordings), ("held_out", held_out)):
+        check_list(name, paths, (str, Path), "files and folders")
     fitted, kept = read_apart(study, recordings, held_out, columns, LONGEST)
     for note in (*fitted.notes, *kept.notes):
         warnings.warn(note, stacklevel=2)

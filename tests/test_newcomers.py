@@ -11,6 +11,7 @@ import numpy as np
 import point_mass as robot
 import pytest
 from conftest import OWN_CONF, POINT_MASS
+from errors import one_line
 from interpreted import interpreted
 from rich.console import Console
 from texts import write
@@ -30,6 +31,8 @@ from simbias.trial import diagnostics as remarks
 from simbias.trial.methods.algorithm1 import Algorithm1
 from simbias.trial.run import run_trial
 from simbias.trial.study import Study
+
+PENDULUM = ["preset=double_pendulum", "tracking=none"]
 
 
 class NaNVelocity(robot.WithoutWind):
@@ -125,6 +128,35 @@ def test_what_an_own_component_breaks_is_one_line_before_the_trial(compilable: S
     said = r"slower.*: Decides.step \(test_newcomers.py:\d+: it branches on a value.*kernels.py"
     with pytest.warns(simbias.core.StudyWarning, match=said):
         rehearse(replace(study, nominal=Decides(study.task)))  # type: ignore[arg-type]
+
+
+def test_an_own_policy_cannot_move_a_robot_beyond_its_limits(point_mass: Study) -> None:
+    """From Python, a trial is refused as on the command line; a single experiment is aborted."""
+    study = replace(point_mass, policy=Unbounded(point_mass.task))
+    with pytest.raises(ConfigError, match=r"^Unbounded.act: expected inputs within \[-5"):
+        simbias.run_trial(study)
+    aborted = study.experiment(np.ones(3), np.random.default_rng(0))
+    assert (aborted.failed_at, aborted.failure) == (0, "unsafe_input_force")
+
+
+def test_what_is_no_list_is_said_to_be_none(tmp_path: Path) -> None:
+    for call, line in (
+        (
+            lambda: simbias.load("seed=3"),
+            "overrides: expected a list of texts such as 'seed=3', got 'seed=3'",
+        ),
+        (lambda: simbias.load({"seed": 3}), "overrides: expected a list of texts such as 'seed=3', got {"),  # type: ignore[arg-type]
+        (
+            lambda: simbias.identify("a.csv", PENDULUM),
+            "recordings: expected a list of files and folders, got",
+        ),
+        (
+            lambda: simbias.identify([tmp_path], PENDULUM, held_out="a.csv"),
+            "held_out: expected a list of files and folders, got 'a.csv'",
+        ),
+    ):
+        with one_line(line):
+            call()
 
 
 def test_an_error_within_a_library_is_told_by_the_method_and_line_that_called_it() -> None:

@@ -23,8 +23,6 @@ all its candidates in lockstep. Methods in ordinary vectorised NumPy are compile
 only by rounding. A component may provide a `kernel` instead (`simbias.simulation.compiler.kernels`).
 """
 
-# ruff: noqa: F401  (names for others to import)
-
 from simbias.core.errors import StudyWarning
 from simbias.core.kernel import Kernel
 from simbias.core.model import Bias, FittedBias, Identification, Model, Nominal, Samples
@@ -42,3 +40,35 @@ from simbias.core.robot import (
     failure_name,
 )
 from simbias.core.search import Cost, Evaluation, GoalWeights, Optimizer, Simulator
+
+__all__ = [
+    "NOT_A_NUMBER",
+    "Bias",
+    "Controller",
+    "Cost",
+    "Criterion",
+    "Evaluation",
+    "FittedBias",
+    "GoalWeights",
+    "Hardware",
+    "HardwareError",
+    "Identification",
+    "Kernel",
+    "Law",
+    "Model",
+    "Nominal",
+    "Objective",
+    "Optimizer",
+    "Policy",
+    "Push",
+    "Quantity",
+    "Samples",
+    "Simulator",
+    "StudyWarning",
+    "Task",
+    "Waiting",
+    "failure_name",
+    "rate_pairs",
+    "rates_and_positions",
+    "wrapped",
+]

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from simbias.core.messages import LONGEST, brief, words
+from collections.abc import Sequence
+from typing import Any
+
+from simbias.core.messages import LONGEST, brief, quote, words
 
 LONGEST_KEY = 160  # characters of a key or file name in a message
 
@@ -17,6 +20,13 @@ class ConfigError(ValueError):
     def __reduce__(self) -> tuple[type[ConfigError], tuple[str, str]]:
         """Pickle the key and message, so that the error survives the way back from a worker."""
         return ConfigError, (self.key, self.problem)
+
+
+def check_list(key: str, values: Any, kinds: type | tuple[type, ...], what: str) -> None:
+    """Raise ConfigError unless the values are a list of these kinds; a text is a sequence of texts, too."""
+    listed = isinstance(values, Sequence) and not isinstance(values, str | bytes)
+    if not listed or not all(isinstance(each, kinds) for each in values):
+        raise ConfigError(key, f"expected a list of {what}, got {quote(values)}")
 
 
 class StudyWarning(UserWarning):

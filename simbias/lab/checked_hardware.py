@@ -18,6 +18,7 @@ from typing import Any, final
 import numpy as np
 
 from simbias.core import Hardware, HardwareError, Policy, Task, Waiting
+from simbias.core.error_origin import is_own
 from simbias.core.errors import ConfigError
 from simbias.core.interruption import deferred
 from simbias.core.messages import with_type
@@ -161,7 +162,12 @@ class CheckedHardware(Hardware):
                 raise Waiting("the experiment was not confirmed (hardware.confirm=true)")
         self._unconfirmed.clear()
         start, targets = np.split(start, [len(self._task.states)])
+        bounds = self._bounds
+        if bounds is None and is_own(policy):  # which may break its contract: to act within the task's limits
+            bounds = NO_LIMITS.bounds(self._task)
         policy = WithTargets(policy, targets, self._targets) if len(targets) else policy
+        if bounds is not None:
+            policy = SafetyLimitedPolicy(policy, self._task, bounds)
         returned = self._run(policy, theta.copy(), start.copy(), rng)  # the hardware may overwrite its copies
         return beside(replace(self._checked(returned, theta, start), parameters=theta), targets)
 
@@ -178,12 +184,11 @@ class CheckedHardware(Hardware):
 
     def _run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Any:
         """The hardware's unchecked result; for an aborted experiment, the rollout up to its last frame."""
-        limited = SafetyLimitedPolicy(policy, self._task, self._bounds) if self._bounds else None
 
         def experiment() -> Any:
             process = os.getpid()
             try:
-                self._returned = self._hardware.run(limited or policy, theta, start, rng)
+                self._returned = self._hardware.run(policy, theta, start, rng)
                 return self._returned
             finally:
                 if os.getpid() != process:  # a process forked by the hardware ends here
@@ -196,7 +201,7 @@ class CheckedHardware(Hardware):
                 _Call(self._hardware.stop).ended(INTERRUPT_SECONDS)
             raise
         except BaseException as error:  # also SystemExit, and what other libraries raise to cancel tasks
-            if limited and (aborted := limited.aborted):
+            if isinstance(policy, SafetyLimitedPolicy) and (aborted := policy.aborted):
                 self._returned = aborted
                 _Call(self._hardware.stop).ended(STOP_SECONDS)
                 return aborted

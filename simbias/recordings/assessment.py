@@ -11,11 +11,9 @@ from threadpoolctl import threadpool_limits
 
 from simbias.core import Nominal, Task
 from simbias.core.errors import ConfigError
-from simbias.core.messages import words
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.directions import Direction, undetermined
 from simbias.learning.identification.identified import Identified, Known
-from simbias.learning.identification.posterior import Posterior
 from simbias.recordings.copies import Digest, digests
 from simbias.recordings.findings import Finding, findings
 from simbias.recordings.fitting import Fitting
@@ -131,27 +129,6 @@ class Assessment:
     def undetermined(self) -> list[Direction]:
         """Combinations of parameters that the data do not determine."""
         return undetermined(self.identified)
-
-
-def prepared(study: Study) -> Study:
-    """The study for identification from recordings; it also tells what strong motion leaves undetermined.
-
-    Raises
-    ------
-    ConfigError
-        If it identifies no posterior, no parameter is uncertain, or the model has no such parameter.
-    """
-    study, posterior = study.without_targets, study.identification
-    if not isinstance(posterior, Posterior):
-        does = "identification=posterior does, and includes motor delays"
-        raise ConfigError("identification", f"identifies no posterior; {does}")
-    try:
-        known = posterior.fit(study.nominal, [])
-    except ValueError as error:
-        raise ConfigError("", words(error)) from error
-    if not known.parameters:
-        raise ConfigError("nominal", "declares no uncertain parameters (nominal.uncertainty)")
-    return replace(study, identification=posterior.of_recordings())
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # for small matrices, threads cost more than they save

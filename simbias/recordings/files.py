@@ -24,11 +24,12 @@ from simbias.recordings.assessment import Assessment
 from simbias.recordings.excitation import Excitation
 from simbias.recordings.findings import at_bound
 from simbias.recordings.report import report
+from simbias.recordings.study import GROUP
 from simbias.robots.mujoco.model import Mujoco
 from simbias.trial.origin import model_digest
 from simbias.trial.study import Study
 
-GROUP, OPTION = "identification", "identified"
+OPTION = "identified"
 FIRST_LINE = "# What recordings say of the nominal model's parameters; a trial's experiments add to it."
 DRAWS, MODELS, SEED = 100, 10, 0  # of the posterior: rows of a table, number of files
 EXCITATION, OWN = "excitation.csv", "recordings.csv"

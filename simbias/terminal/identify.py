@@ -10,19 +10,17 @@ from typing import NamedTuple
 import numpy as np
 from rich.console import Console
 
-from simbias.config import ConfigError, compose
-from simbias.config.build import NOT_OF_RECORDINGS, build
-from simbias.config.components import component_class
-from simbias.config.hydra_config import overridden
+from simbias.config import ConfigError
+from simbias.config.build import NOT_OF_RECORDINGS
 from simbias.lab.recorded import Recorded
-from simbias.learning.identification.posterior import Posterior
 from simbias.learning.noise import noise_of
 from simbias.recordings import words
-from simbias.recordings.assessment import Assessment, assess, prepared
+from simbias.recordings.assessment import Assessment, assess
 from simbias.recordings.excitation import Designer, Excitation
-from simbias.recordings.files import GROUP, OPTION, check_replaces_nothing, write
+from simbias.recordings.files import OPTION, check_replaces_nothing, write
 from simbias.recordings.fitting import LONGEST
 from simbias.recordings.reading import Recordings, learned_files, read_apart
+from simbias.recordings.study import GROUP, study_of
 from simbias.terminal.lines import progress, say, standard_output
 from simbias.terminal.notices import preparing
 from simbias.trial.study import Study
@@ -66,8 +64,7 @@ class Request(NamedTuple):
         """
         with preparing():
             left_out = () if attach else NOT_OF_RECORDINGS
-            composition = compose(self._identifying, self.config_dir, self.allow, left_out)
-            study = prepared(build(composition, left_out))
+            study = study_of(self.overrides, self.config_dir, self.allow, left_out)
         places = self.recordings, self.held_out
         recordings, held_out = read_apart(study, *places, self.columns, windows, again)
         for note in (*recordings.notes, *held_out.notes):
@@ -75,19 +72,6 @@ class Request(NamedTuple):
         if extent := ", ".join(filter(None, (recordings.extent, held_out.extent))):
             say(console, extent)
         return study, recordings, held_out
-
-    @property
-    def _identifying(self) -> list[str]:
-        """The overrides, plus `identification=posterior` if neither they nor a preset choose one."""
-        keys = overridden(self.overrides)
-        if GROUP in keys:
-            return [*self.overrides]
-        # Without keys of the group, which may belong to the option that is still to be chosen.
-        pairs = zip(self.overrides, keys, strict=True)
-        others = [each for each, key in pairs if not key.startswith(f"{GROUP}.")]
-        found = compose(others, self.config_dir, self.allow, NOT_OF_RECORDINGS)
-        chosen = issubclass(component_class(found.config[GROUP], GROUP, found.own.modules), Posterior)
-        return [*self.overrides, *([] if chosen else [f"{GROUP}=posterior"])]
 
     @property
     def again(self) -> list[str]:

@@ -177,10 +177,12 @@ class Study:
         Raises
         ------
         ValueError
-            If theta or the start has another shape.
+            If theta or the start has another shape, or `fitted_bias` is no fitted bias.
         """
         theta = shaped("theta", theta, self.policy.n_parameters)
         begin = shaped("start", self.task.start_mean if start is None else start, len(self.task.states))
+        if not isinstance(fitted_bias, FittedBias | None):
+            raise ValueError(f"fitted_bias: expected a fitted bias, got {type(fitted_bias).__name__}")
         model = self._corrected(self.policy, fitted_bias, nominal)
         return self._judged(simulator(model, disturbance, self.cost).rollout(theta, begin), theta)
 
@@ -287,8 +289,10 @@ class Study:
     def with_horizon(self, horizon: int) -> Study:
         """The study with another horizon in frames; its hardware is reconstructed.
 
-        Its costs are those of the old horizon.
+        Its costs are those of the old horizon. ValueError if the horizon is no positive whole number.
         """
+        if horizon != int(horizon) or horizon < 1:
+            raise ValueError(f"horizon: expected a positive number of frames, got {horizon}")
         task = self.task.with_horizon(horizon)
         hardware = self.checked_hardware.with_hardware(self.hardware_of(task), task)
         return replace(self, task=task, hardware=hardware)

@@ -26,8 +26,9 @@ from simbias.core import Nominal, markdown
 from simbias.core.parameters import values_at
 from simbias.core.records import Array
 from simbias.learning.identification.identified import Identified
-from simbias.recordings.assessment import UNEXPLAINED, prepared
+from simbias.recordings.assessment import UNEXPLAINED
 from simbias.recordings.excitation import Designer
+from simbias.recordings.study import prepared
 from simbias.trial.study import Study
 
 RECORDINGS, SECONDS = 2, 5.0  # of each robot; s of each

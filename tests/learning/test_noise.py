@@ -10,7 +10,7 @@ from simbias.core.parameters import values_at
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.identified import Identified
 from simbias.learning.noise import OUTLIER, noise_of, smoothed
-from simbias.recordings.assessment import prepared
+from simbias.recordings.study import prepared
 
 RARE = [(1, 0, 0), (2, 0, 0), (2.5, 0, 0), (10 / 3, 0.4, 0), (5, 0, 0), (5, 0.3, 0), (10, 0.5, 1)]
 

@@ -27,7 +27,7 @@ from simbias.learning.measurement_noise import (
     _moments_of_directions,
 )
 from simbias.learning.prediction_errors import FREEDOM, ErrorDistribution, correlation_time
-from simbias.recordings.assessment import prepared
+from simbias.recordings.study import prepared
 from simbias.simulation.open_loop import Windows
 from simbias.trial import model_selection
 from simbias.trial.model_selection import VARIANTS, log_likelihoods, most_likely

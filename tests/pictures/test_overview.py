@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from pendulum import pendulum
 
-from simbias.core.records import Iteration
+from simbias.core.records import Iteration, Rollout
 from simbias.learning.identification.identified import Identified
 from simbias.pictures import NoPictureError, overview
 from simbias.pictures.elements.style import HARDWARE, SIMULATION, label, symbol
@@ -111,3 +111,31 @@ def test_a_trial_of_one_iteration_and_a_method_without_search(
     assert "simulation" not in words
     with pytest.raises(NoPictureError, match="no policy was tried"):
         overview(short, [replace(on_hardware[0], experiments=())])
+
+
+@pytest.mark.parametrize("factor", [1e-6, 1e6])
+def test_without_a_drawing_and_with_costs_far_from_one_it_has_room_for_all(
+    of_point_mass: tuple[Study, list[Iteration]], factor: float
+) -> None:
+    """Headlines are above legends, and a narrow panel's ticks have short labels."""
+    study, iterations = of_point_mass
+
+    class Scaled(type(study.cost)):  # type: ignore[misc]
+        max_cost = factor * study.cost.max_cost
+
+        def of(self, rollout: Rollout) -> float:
+            return factor * float(super().of(rollout))
+
+    def scaled(iteration: Iteration) -> Iteration:
+        made = tuple(replace(each, cost=factor * each.cost) for each in iteration.experiments)
+        return replace(iteration, experiments=made)
+
+    figure = overview(replace(study, cost=Scaled()), [*map(scaled, iterations)])
+    figure.draw_without_rendering()
+    left, right = figure.subfigs
+    for block in left.subfigs:
+        (words,), (axes,) = block.texts, block.axes
+        assert words.get_window_extent().y0 > axes.get_legend().get_window_extent().y1
+    (costs,) = right.axes
+    assert costs.get_window_extent().width > 0.4 * right.bbox.width
+    assert costs.get_yscale() == "log" or "(10" in costs.get_ylabel()

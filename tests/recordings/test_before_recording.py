@@ -16,10 +16,10 @@ from simbias.config import ConfigError
 from simbias.core.parameters import values_at
 from simbias.core.records import Rollout
 from simbias.learning.identification.identified import Identified, Known
-from simbias.recordings.assessment import prepared
 from simbias.recordings.excitation import MODELS, Designer
 from simbias.recordings.findings import findings
 from simbias.recordings.recovery import Take, doubt, record, recover
+from simbias.recordings.study import prepared
 from simbias.simulation.open_loop import PredictionModel
 from simbias.trial.study import Study
 

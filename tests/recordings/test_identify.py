@@ -25,7 +25,7 @@ from simbias.learning.identification.identified import Identified, Known
 from simbias.learning.identification.posterior import Posterior
 from simbias.learning.identification.rig import Rig, Sensor
 from simbias.recordings import plots
-from simbias.recordings.assessment import Assessment, assess, own_findings, prepared
+from simbias.recordings.assessment import Assessment, assess, own_findings
 from simbias.recordings.copies import copied, digests
 from simbias.recordings.excitation import Excitation
 from simbias.recordings.files import (
@@ -53,6 +53,7 @@ from simbias.recordings.parts import parts
 from simbias.recordings.reach import beyond
 from simbias.recordings.reading import SAME, UNKNOWN, columns, read, read_apart
 from simbias.recordings.report import report
+from simbias.recordings.study import prepared
 from simbias.recordings.words import (
     about_errors,
     advice,

@@ -60,7 +60,8 @@ class Posterior(Identification):
         start.
     rounds
         Maximum number of rounds that alternate between estimating covariance and mode, first with almost no
-        weight for outliers, then again with the t distribution of the errors.
+        weight for outliers, then again with the t distribution of the errors. 4, as in the published trials,
+        may not suffice for many parameters.
     evaluations
         Maximum number of steps of the search for the mode in each round.
     known
@@ -102,7 +103,7 @@ class Posterior(Identification):
         window: Seconds = 0.1,
         chunks: Count = 10,
         starts: Count = 32,
-        rounds: Count = 12,
+        rounds: Count = 4,
         evaluations: Count = 12,
         known: Known | None = None,
         motors: dict[str, Motor] | None = None,

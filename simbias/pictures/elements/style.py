@@ -33,6 +33,7 @@ SMALL = 8.5  # points
 TICKS = {4.0: (1, 1.5, 2, 3, 4, 5, 7), 20.0: (1, 2, 3, 5), 200.0: (1, 3)}  # by upper over lower limit
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 FAR = 3  # decades from 1, beyond which an axis' numbers are written with powers of ten
+PLAIN = (0.02, 1e4)  # largest numbers of an axis whose labels are short
 LINE_OF_TEXT = 0.13  # of the height of axes, at most
 
 DOTS_PER_INCH = 120
@@ -162,6 +163,21 @@ def logarithmic_if_wide(values: Sequence[float], *all_axis: Axis) -> None:
     finite = [value for value in values if np.isfinite(value)]
     if 0 < 10 * min(finite) < max(finite):
         logarithmic(*all_axis)
+
+
+def in_powers(values: Sequence[float], axis: Axis) -> str:
+    """Label a linear axis in a power of ten if finite values are far from 1; return the power, or "".
+
+    Long labels would leave no room for a narrow panel.
+    """
+    from matplotlib.ticker import FuncFormatter
+
+    largest = max((abs(value) for value in values if np.isfinite(value)), default=1.0)
+    if axis.get_scale() == "log" or not largest or PLAIN[0] <= largest < PLAIN[1]:
+        return ""
+    power = int(np.floor(np.log10(largest)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value / 10.0**power:g}"))
+    return "10" + str(power).translate(SUPERSCRIPTS)
 
 
 def plain(axes: Axes, grid: Literal["x", "y", "both"] | None = None) -> None:

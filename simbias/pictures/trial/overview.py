@@ -18,6 +18,7 @@ from simbias.pictures.elements.style import (
     HARDWARE,
     SIMULATION,
     SMALL,
+    in_powers,
     label,
     logarithmic_if_wide,
     plain,
@@ -93,8 +94,10 @@ def overview(study: Study, iterations: Sequence[Iteration]) -> Figure:
             strip = [block.add_subplot(grid[0, column]) for column in range(COLUMNS)]
             draw_strip(strip, study.task, experiment, times, draw)
             snapshots += strip
-            above = strip[0]
-        headline(above, compared_words(study, iteration), "large")
+            headline(strip[0], compared_words(study, iteration), "large")
+        else:  # above the legend
+            words = compared_words(study, iteration)
+            block.suptitle(words, x=0.01, ha="left", fontsize="large", fontweight="bold")
     share_view(snapshots)
     heights = [SNAPSHOT * snapshots[0].get_data_ratio(), PANEL] if draw else [PANEL]
     for grid in grids:
@@ -204,9 +207,10 @@ def _draw_costs(axes: Axes, study: Study, iterations: Sequence[Iteration]) -> No
             )
         values += measured + models
     logarithmic_if_wide(values, axes.yaxis)
+    power = in_powers(values, axes.yaxis)
     whole_numbers(axes.xaxis)
     axes.set_xlim(0.5, iterations[-1].total_experiments + 0.5)
-    axes.set(xlabel="hardware\nexperiment", ylabel="cost Z (dimensionless)")
+    axes.set(xlabel="hardware\nexperiment", ylabel=f"cost Z ({power or 'dimensionless'})")
     shade_beyond(axes, limit, Z_MAX)
     axes.legend(
         list(entries.values()),
