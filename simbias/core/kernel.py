@@ -13,4 +13,4 @@ class Kernel(NamedTuple):
     """
 
     function: Callable
-    parameters: Any  # an array; for a bias that works on all lanes, a tuple of arrays
+    parameters: Any  #: an array; for a bias that works on all lanes, a tuple of arrays

@@ -28,11 +28,11 @@ class Nominal(ABC):
     """
 
     kernel: Kernel | None = None
-    parameters: tuple[Parameter, ...] = ()  # those that are not known exactly
-    state_size: int = 0  # s, of the model state
-    acting: tuple[int, ...] = ()  # entries of the model state that keep the acting input, if any; see `acted`
-    estimates: Sequence[Estimate] = ()  # what has been identified
-    diagnostics: Mapping[str, float] = MappingProxyType({})  # of the identification's fit
+    parameters: tuple[Parameter, ...] = ()  #: those that are not known exactly
+    state_size: int = 0  #: s, of the model state
+    acting: tuple[int, ...] = ()  #: entries of the model state that keep the acting input; see `acted`
+    estimates: Sequence[Estimate] = ()  #: what has been identified
+    diagnostics: Mapping[str, float] = MappingProxyType({})  #: of the identification's fit
 
     @abstractmethod
     def step(self, x: Array, u: Array) -> Array:
@@ -163,7 +163,7 @@ class FittedBias(ABC):
     """The learned dynamics bias g_D."""
 
     kernel: Kernel | None = None
-    diagnostics: Mapping[str, float] = MappingProxyType({})  # of the learner's fit
+    diagnostics: Mapping[str, float] = MappingProxyType({})  #: of the learner's fit
 
     @abstractmethod
     def predict(self, inputs: Array) -> tuple[Array, Array]:

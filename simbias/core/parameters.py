@@ -32,7 +32,7 @@ class Parameter(NamedTuple):
     value: float
     spread: float
     prior: Prior = "normal"
-    of_recording: bool = False  # whether its value differs between recordings, like an encoder's zero
+    of_recording: bool = False  #: whether its value differs between recordings, like an encoder's zero
     assumed: str = ""  # a value that is not identified, and that its own depends on
 
     def at(self, coordinate: Array | float) -> Array:
@@ -87,6 +87,6 @@ class Estimate(NamedTuple):
     name: str
     unit: str
     declared: float
-    value: float  # the most probable value
-    low: float  # 5% quantile
-    high: float  # 95% quantile
+    value: float  #: the most probable value
+    low: float  #: 5% quantile
+    high: float  #: 95% quantile

@@ -19,8 +19,8 @@ SAME = 1e-6  # of a policy's largest parameter: smaller differences are ignored
 class Law(NamedTuple):
     """A policy in words and numbers, for requests to a lab."""
 
-    words: str  # for example, u = H z
-    numbers: Mapping[str, Array]  # the symbols in the words, in the task's units
+    words: str  #: for example, u = H z
+    numbers: Mapping[str, Array]  #: the symbols in the words, in the task's units
 
 
 class Policy(ABC):
@@ -29,9 +29,9 @@ class Policy(ABC):
     A law with a filter, an integral or a delay has a policy state, which is zero at the start.
     """
 
-    n_parameters: int
-    bounds: tuple[Array, Array]  # lower (p,), upper (p,)
-    state_size: int = 0  # s, of the policy state
+    n_parameters: int  #: p
+    bounds: tuple[Array, Array]  #: lower (p,), upper (p,)
+    state_size: int = 0  #: s, of the policy state
 
     @abstractmethod
     def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:

@@ -16,10 +16,10 @@ TURNS = {"rad": 2 * np.pi, "mrad": 2e3 * np.pi, "deg": 360.0, "°": 360.0, "rev"
 class Quantity(NamedTuple):
     """A component of a state, input or output vector."""
 
-    name: str
-    unit: str
+    name: str  #: in configs and tables
+    unit: str  #: "" if there is none
     kind: str = ""  # common to several, so that noise can be declared for all at once: "angle"
-    wraps: bool = False  # whether it is an angle modulo one turn
+    wraps: bool = False  #: whether it is an angle modulo one turn
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -27,18 +27,18 @@ class Rollout:
     An experiment's states, inputs and measurements are read-only.
     """
 
-    states: Array  # (k+1, n) recorded states x_0 .. x_k; k = T, or the frame of the failure
-    inputs: Array  # (k, m) commanded inputs u_0 .. u_{k-1}
-    failed_at: int | None = None  # t_fail of Eq. 8: the failing frame, or the last before an engine diverged
-    failure: str | None = None  # name of the violated criterion (Section IV-C)
-    cost: float = math.nan  # Z of Eq. 8; nan until a cost has judged the rollout
-    measured: Array | None = None  # (k+1, n) the sensors' readings; None without sensors
-    sensed: bool = False  # whether `states` are these readings, as on a real robot; else the true states
-    parameters: Array = field(default_factory=lambda: np.empty(0))  # (p,); set by the study that ran it
-    given_start: bool = False  # whether a method chose the experiment's start; else the task drew it
-    source: str | None = None  # the file it was read from, if a person provided it
-    earlier: Rollout | None = None  # the part of its recording before it
-    continues: bool = False  # whether it follows a gap in a recording: earlier inputs are unknown
+    states: Array  #: (k+1, n) recorded states x_0 .. x_k; k = T, or the frame of the failure
+    inputs: Array  #: (k, m) commanded inputs u_0 .. u_{k-1}
+    failed_at: int | None = None  #: t_fail of Eq. 8: the failing frame, or the last before an engine diverged
+    failure: str | None = None  #: name of the violated criterion (Section IV-C)
+    cost: float = math.nan  #: Z of Eq. 8; nan until a cost has judged the rollout
+    measured: Array | None = None  #: (k+1, n) the sensors' readings; None without sensors
+    sensed: bool = False  #: whether `states` are these readings, as on a real robot; else the true states
+    parameters: Array = field(default_factory=lambda: np.empty(0))  #: (p,); set by the study that ran it
+    given_start: bool = False  #: whether a method chose the experiment's start; else the task drew it
+    source: str | None = None  #: the file it was read from, if a person provided it
+    earlier: Rollout | None = None  #: the part of its recording before it
+    continues: bool = False  #: whether it follows a gap in a recording: earlier inputs are unknown
 
     @property
     def frames(self) -> int:
@@ -94,16 +94,16 @@ class Rollout:
 class Disturbance:
     """Noise on one simulated rollout, frame by frame."""
 
-    inputs: Array  # (T, m) added to the inputs that act on the model
-    sensors: Array  # (T+1, n) added to the states that the policy sees
+    inputs: Array  #: (T, m) added to the inputs that act on the model
+    sensors: Array  #: (T+1, n) added to the states that the policy sees
 
 
 @dataclass(frozen=True, eq=False)
 class Transitions:
     """Training data D of the dynamics bias (Section IV-C), in the task's units; read-only."""
 
-    inputs: Array  # (N, n+m) x~_t = (x_{t-1}, u_{t-1}), u the acting input (`Nominal.acted`)
-    residuals: Array  # (N, n) Delta_t of Eq. 6
+    inputs: Array  #: (N, n+m) x~_t = (x_{t-1}, u_{t-1}), u the acting input (`Nominal.acted`)
+    residuals: Array  #: (N, n) Delta_t of Eq. 6
 
     def __post_init__(self) -> None:
         for array in (self.inputs, self.residuals):
@@ -129,10 +129,10 @@ class Transitions:
 class Selection:
     """Training data selected from rollouts, and counts of rejected samples by criterion (Section IV-C)."""
 
-    transitions: Transitions
-    frames: int  # transitions that the rollouts hold
-    sampled: int  # those left after downsampling
-    rejected: Mapping[str, int]  # criterion -> number of sampled transitions that it rejected
+    transitions: Transitions  #: the samples
+    frames: int  #: transitions that the rollouts hold
+    sampled: int  #: those left after downsampling
+    rejected: Mapping[str, int]  #: criterion -> number of sampled transitions that it rejected
     note: str = ""  # explains to a person why nothing was sampled
 
 
@@ -140,42 +140,42 @@ class Selection:
 class Optimum:
     """The result of a policy search."""
 
-    parameters: Array  # (p,)
-    cost: float
-    evaluations: int
-    stopped_by: str  # why the search ended, in words
-    flat: bool = False  # whether all policies that it evaluated cost the same
+    parameters: Array  #: (p,)
+    cost: float  #: Z of these parameters in the search
+    evaluations: int  #: number of policies evaluated
+    stopped_by: str  #: why the search ended, in words
+    flat: bool = False  #: whether all policies that it evaluated cost the same
 
 
 @dataclass(frozen=True, eq=False)
 class Search:
     """A policy search in simulation (lines 4 and 5 of Algorithm 1)."""
 
-    optimum: Optimum
-    predicted_cost: float  # Z_g
+    optimum: Optimum  #: its result
+    predicted_cost: float  #: Z_g
 
 
 @dataclass(frozen=True, eq=False)
 class Learning:
     """Learning from an iteration's experiments (lines 6-8 and 13)."""
 
-    selection: Selection  # D_i
-    data: Transitions  # D afterwards
-    reset: bool = False  # whether D was cleared before
-    log_likelihoods: Mapping[str, float] = field(default_factory=dict)  # nats, of each model variant, if any
+    selection: Selection  #: D_i
+    data: Transitions  #: D afterwards
+    reset: bool = False  #: whether D was cleared before
+    log_likelihoods: Mapping[str, float] = field(default_factory=dict)  #: nats, of each model variant, if any
 
 
 @dataclass(frozen=True, eq=False)
 class Iteration:
     """One pass through the loop of a method, with the parts that the method has."""
 
-    index: int  # i, from 0
-    parameters: Array  # (p,) the policy that it ended with
-    experiments: tuple[Rollout, ...]  # line 9; with several policies, if the method tries several
-    hardware_cost: float  # Z_r of that policy: the maximum over its experiments
-    succeeded: bool  # line 10
-    total_experiments: int  # hardware experiments of the trial so far
-    model: Model | None = None  # the simulation model that its policy was searched or designed on
-    search: Search | None = None
-    learning: Learning | None = None
-    seconds: Mapping[str, float] = field(default_factory=dict)  # wall time of each phase
+    index: int  #: i, from 0
+    parameters: Array  #: (p,) the policy that it ended with
+    experiments: tuple[Rollout, ...]  #: line 9; with several policies, if the method tries several
+    hardware_cost: float  #: Z_r of that policy: the maximum over its experiments
+    succeeded: bool  #: line 10
+    total_experiments: int  #: hardware experiments of the trial so far
+    model: Model | None = None  #: the simulation model that its policy was searched or designed on
+    search: Search | None = None  #: lines 4 and 5
+    learning: Learning | None = None  #: lines 6 to 8, and 13
+    seconds: Mapping[str, float] = field(default_factory=dict)  #: wall time of each phase

@@ -37,20 +37,20 @@ class Waiting(Exception):  # noqa: N818 (no error: a lab takes its time)
 class Criterion(NamedTuple):
     """A failure criterion (Section IV-C): a state fails if its measure exceeds the limit."""
 
-    name: str
-    words: str
-    limit: float
-    unit: str
-    bounds: Mapping[str, float] = MappingProxyType({})  # state -> largest |state|, whatever the others
+    name: str  #: of the failure, in records
+    words: str  #: what happened, for people
+    limit: float  #: of its measure: beyond, the robot has failed
+    unit: str  #: of the measure
+    bounds: Mapping[str, float] = MappingProxyType({})  #: state -> its largest magnitude, whatever the others
 
 
 class Push(NamedTuple):
     """Random pushes on an input during an episode: Gaussian pulses of either sign at random times."""
 
-    input: int
-    pulses: int
-    amplitude: tuple[float, float]  # least and largest, in the input's unit; it may exceed the input's limit
-    seconds: tuple[float, float]  # standard deviation of a pulse, least and largest
+    input: int  #: index of the pushed input
+    pulses: int  #: number in an episode
+    amplitude: tuple[float, float]  #: least and largest, in the input's unit; it may exceed the input's limit
+    seconds: tuple[float, float]  #: standard deviation of a pulse, least and largest
 
 
 def failure_name(criteria: Sequence[Criterion], index: int) -> str:
@@ -66,18 +66,18 @@ class Task(ABC):
     handle the robot alone (`without_targets`).
     """
 
-    states: tuple[Quantity, ...]  # n, those of the robot, then the targets
-    targets: tuple[Quantity, ...] = ()  # the last of the states
-    inputs: tuple[Quantity, ...]
-    outputs: tuple[Quantity, ...]
-    criteria: tuple[Criterion, ...]
-    time_step: float  # s
-    horizon: int  # T, frames
-    input_limit: Array  # (m,) |u| <= input_limit; the inputs' scale
-    start_mean: Array  # (n,)
-    start_deviation: Array  # (n,)
-    pushes: tuple[Push, ...] = ()  # on inputs, in simulation and on simulated hardware
-    joints: tuple[tuple[str, ...], ...] = ()  # in models' files, in orders in which the task reads its states
+    states: tuple[Quantity, ...]  #: n, those of the robot, then the targets
+    targets: tuple[Quantity, ...] = ()  #: the last of the states
+    inputs: tuple[Quantity, ...]  #: m
+    outputs: tuple[Quantity, ...]  #: q, which a policy may feed back
+    criteria: tuple[Criterion, ...]  #: of failure (Section IV-C)
+    time_step: float  #: s
+    horizon: int  #: T, frames
+    input_limit: Array  #: (m,) largest magnitudes; the inputs' scale
+    start_mean: Array  #: (n,)
+    start_deviation: Array  #: (n,)
+    pushes: tuple[Push, ...] = ()  #: on inputs, in simulation and on simulated hardware
+    joints: tuple[tuple[str, ...], ...] = ()  #: in models' files, in orders in which the task reads states
 
     @property
     def input_bounds(self) -> tuple[Array, Array]:
@@ -230,11 +230,11 @@ class WithoutTargets(Task):
 class Hardware(ABC):
     """The expensive system, on which experiments are made."""
 
-    sets_start: bool = True  # whether an experiment begins at the requested start; else where the robot is
+    sets_start: bool = True  #: whether an experiment begins at the requested start; else where the robot is
 
     @cached_property  # so that an instance may set it
     def concurrent(self) -> bool:
-        """Whether trials may run at the same time, in processes that may be killed: not if `stop` has to act.
+        """Whether trials may run at the same time, in processes that may be killed; not if `stop` has to act.
 
         A class or an instance whose `stop` ends a simulation sets `concurrent = True`.
         """

@@ -34,9 +34,9 @@ class Simulator(Protocol):
 class GoalWeights(NamedTuple):
     """Diagonal weights of a cost that is quadratic about the goal."""
 
-    errors: Array  # (g,) of squared errors, 1/s
-    inputs: Array  # (m,) of squared inputs, 1/s
-    final: Array  # (g,) of the last squared error
+    errors: Array  #: (g,) of squared errors, 1/s
+    inputs: Array  #: (m,) of squared inputs, 1/s
+    final: Array  #: (g,) of the last squared error
 
 
 class Cost(ABC):
@@ -47,11 +47,11 @@ class Cost(ABC):
     rollout is recorded, which takes longer.
     """
 
-    max_cost: float  # Z_max
-    horizon: int  # T, frames of a rollout that does not fail
-    time_step: float  # s
-    reductions: tuple[Reduction, ...] = ()  # for each of the s terms: how it is reduced to its total
-    goal_weights: GoalWeights | None = None  # if it is quadratic about the goal, up to a factor
+    max_cost: float  #: Z_max
+    horizon: int  #: T, frames of a rollout that does not fail
+    time_step: float  #: s
+    reductions: tuple[Reduction, ...] = ()  #: for each of the s terms: how it is reduced to its total
+    goal_weights: GoalWeights | None = None  #: if it is quadratic about the goal, up to a factor
 
     def terms(self, x_next: Array, u: Array, t: Any) -> Array:
         """Terms (..., s) of frames that end in x_next (..., n) at the time t (...) in s, under u (..., m).
@@ -103,9 +103,9 @@ class Cost(ABC):
 class Evaluation(ABC):
     """Prediction of a policy's cost in simulation."""
 
-    rollouts: int = 1  # simulated per policy
-    horizon: int | None = None  # frames of its rollouts; None: the task's
-    draws_nominal: bool = False  # whether each rollout uses a drawn nominal model
+    rollouts: int = 1  #: simulated per policy
+    horizon: int | None = None  #: frames of its rollouts; None: the task's
+    draws_nominal: bool = False  #: whether each rollout uses a drawn nominal model
 
     @abstractmethod
     def objective(self, model: Model, cost: Cost, rng: np.random.Generator) -> Objective:

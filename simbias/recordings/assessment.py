@@ -30,19 +30,19 @@ UNEXPLAINED = 2.0  # times the errors explained by noise and uncertainty: beyond
 class Assessment:
     """A model identified from recordings, and what is known of it."""
 
-    study: Study  # `prepared`; components that recordings do not need, such as its cost, may be None
-    recordings: Sequence[str]  # those not held out
-    identified: Identified  # from all these recordings
-    parts: Sequence[Part]  # parts of them, each predicted by a model of the others
-    held_out: Part | None
-    models: Sequence[Identified]  # for each of `judged`, a model that was not fitted to it
-    findings: Sequence[Finding]
-    own_findings: Mapping[str, Sequence[Finding]]  # of parameters specific to each recording, by its name
-    predictions: Sequence[HorizonErrors]
-    mistakes: Sequence[Mistake]  # of signs and columns
-    by_window: Mapping[float, float]  # window in s -> deviations relative to those of `identified`
-    steps_checked: bool  # whether the effect of shorter integration steps on parameters is known
-    learned: Sequence[Digest]  # of all recordings that `identified` has learned, also earlier
+    study: Study  #: `prepared`; components that recordings do not need, such as its cost, may be None
+    recordings: Sequence[str]  #: those not held out
+    identified: Identified  #: from all these recordings
+    parts: Sequence[Part]  #: parts of them, each predicted by a model of the others
+    held_out: Part | None  #: recordings that were only predicted
+    models: Sequence[Identified]  #: for each of `judged`, a model that was not fitted to it
+    findings: Sequence[Finding]  #: one for each parameter
+    own_findings: Mapping[str, Sequence[Finding]]  #: of parameters specific to each recording, by its name
+    predictions: Sequence[HorizonErrors]  #: of `judged`, by horizon and state
+    mistakes: Sequence[Mistake]  #: of signs and columns
+    by_window: Mapping[float, float]  #: window in s -> deviations relative to those of `identified`
+    steps_checked: bool  #: whether the effect of shorter integration steps on parameters is known
+    learned: Sequence[Digest]  #: of all recordings that `identified` has learned, also earlier
 
     @property
     def task(self) -> Task:
@@ -56,7 +56,7 @@ class Assessment:
 
     @property
     def judged(self) -> list[Part]:
-        """The parts that are predicted: held-out recordings or, without any, each part."""
+        """The predicted parts, which are the held-out recordings or, without any, each part."""
         return [self.held_out] if self.held_out else list(self.parts)
 
     @property
@@ -94,7 +94,7 @@ class Assessment:
 
     @property
     def sound(self) -> bool:
-        """Whether a trial may begin with the model: it is better, and trusted in part, with right signs."""
+        """Whether a trial may begin with the model; it is better, and trusted in part, with right signs."""
         return self.better and self.trusted and not self.mistakes
 
     @property

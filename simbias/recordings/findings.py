@@ -31,14 +31,14 @@ class Finding:
     recordings and the model, stay where identification begins with this posterior.
     """
 
-    prior: Parameter
-    estimate: Estimate
-    shrinkage: float  # of the standard deviation, in the prior's coordinate: 0 nothing learned, 1 exact
-    partners: Mapping[str, float]  # parameters correlated with it by more than 0.9
-    by_part: tuple[Estimate, ...]  # identified from each part alone
+    prior: Parameter  #: as declared
+    estimate: Estimate  #: as identified
+    shrinkage: float  #: of the standard deviation, in the prior's coordinate: 0 nothing learned, 1 exact
+    partners: Mapping[str, float]  #: parameters correlated with it by more than 0.9
+    by_part: tuple[Estimate, ...]  #: identified from each part alone
     passing: tuple[str, ...]
     lasting: tuple[str, ...]
-    earlier: tuple[str, ...] = ()  # lasting doubts of the runs that led to the prior
+    earlier: tuple[str, ...] = ()  #: lasting doubts of the runs that led to the prior
 
     @property
     def doubts(self) -> tuple[str, ...]:

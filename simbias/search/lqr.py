@@ -25,7 +25,7 @@ INPUT_WEIGHTS = (10.0, 100.0, 1000.0, 10000.0)  # R of inputs at their limits; Q
 MODEL_STATE_WEIGHT = 1e-9  # Q of the model state
 STEADY = 0.03  # share of the input limits: steady disturbance in records of a regulator with an integral
 NEAR = 1e-3  # weight of the distance from zero, relative to accelerations: selects the nearest equilibrium
-OF_INPUTS = 1e-2  # of this weight, for steady inputs that hold given states
+OF_INPUTS = 1e-2  # of this weight, for inputs that hold a goal
 NEARER = 1e-6  # weight of the distance from a goal, relative to changes per frame: slow drifts stop too
 RECORDS, SECONDS = 16, 1.0  # imitated records of the regulated model, and the duration of each,
 EXCITATION = 0.01  # with random inputs of this share of the limits
@@ -179,11 +179,13 @@ def _acts(model: Model, states: Array, inputs: Array, added: Array) -> bool:
     return bool(np.mean(wrong**2) <= ALIKE * np.mean(added**2))
 
 
-def rest(model: Model, near: Array | None = None, exactly: bool = False) -> tuple[Array, Array]:
-    """The equilibrium states (n,) and inputs (m,) nearest to zero, or to given states (n,).
+def rest(
+    model: Model, near: Array | None = None, held: bool = False, exactly: bool = False
+) -> tuple[Array, Array]:
+    """The equilibrium states (n,) and inputs (m,) nearest to zero, or to states (n,) with zero input.
 
-    These are held as far as inputs can, whatever input this takes. Slow drifts are excluded only if
-    `exactly`.
+    If `held`, the states are as near as possible, whatever input this takes. Slow drifts are excluded only
+    if `exactly`.
     """
     from scipy.optimize import least_squares  # lazily: few searches begin with LQR
 
@@ -192,7 +194,7 @@ def rest(model: Model, near: Array | None = None, exactly: bool = False) -> tupl
     begin = np.zeros(n + len(task.inputs))
     begin[:n] = 0.0 if near is None else near
     pulls = np.ones(len(begin))
-    if near is not None:
+    if held:
         pulls[n:] = OF_INPUTS
 
     def residuals(both: Array, scale: float, weight: float) -> Array:
@@ -209,7 +211,7 @@ def rest(model: Model, near: Array | None = None, exactly: bool = False) -> tupl
 
 def linearised(model: Model, goal: Array | None = None) -> Linear:
     """The corrected model, linearised by central differences at rest near zero or a goal (n,)."""
-    x, u = rest(model, goal, exactly=goal is not None)
+    x, u = rest(model, goal, held=goal is not None, exactly=goal is not None)
     n, size, limit = len(x), model.nominal.state_size, input_scale(model.task)
     model_state = model.nominal.model_states(np.tile(x, (MEMORY, 1)), np.tile(u, (MEMORY, 1)))[-1]
     point = np.concatenate([x, model_state, u])

@@ -49,19 +49,19 @@ FIGURES = {"experiments": {"_target_": "simbias.sweep.figures.experiments.Experi
 class Report:
     """Columns and measures of a sweep's table."""
 
-    columns: str | None  # the axis whose points are columns
-    measures: tuple[Measure, ...]  # shown for each cell
-    paper: Mapping[tuple[str, ...], float]  # labels of a cell -> the paper's mean number of experiments
-    bar: float = BAR  # share of starts that a policy must hold, by the bound from its test episodes
+    columns: str | None  #: the axis whose points are columns
+    measures: tuple[Measure, ...]  #: shown for each cell
+    paper: Mapping[tuple[str, ...], float]  #: labels of a cell -> the paper's mean number of experiments
+    bar: float = BAR  #: share of starts that a policy must hold, by the bound from its test episodes
 
 
 @dataclass(frozen=True)
 class Cell:
     """A point of the grid: a config without its seed."""
 
-    labels: tuple[str, ...]  # one for each axis
+    labels: tuple[str, ...]  #: one for each axis
     composition: Composition
-    identity: str  # determines its trials' seeds; cells that share it have common random numbers
+    identity: str  #: determines its trials' seeds; cells that share it have common random numbers
 
 
 @dataclass(frozen=True)
@@ -93,18 +93,18 @@ class Sweep:
     """A grid of trials, with its report and figures."""
 
     name: str
-    base: Composition  # the config shared by all trials, with the axes' keys at their base values
+    base: Composition  #: the config shared by all trials, with the axes' keys at their base values
     axes: tuple[Axis, ...]
-    cells: tuple[Cell, ...]  # the last axis changes fastest
+    cells: tuple[Cell, ...]  #: the last axis changes fastest
     repetitions: int
     dry_run: bool
     report: Report
-    figures: Mapping[str, SweepFigure]  # by the name of their files
-    figures_to: str | None  # folder in the working folder for copies of the files
+    figures: Mapping[str, SweepFigure]  #: by the name of their files
+    figures_to: str | None  #: folder in the working folder for copies of the files
 
     @cached_property
     def trials(self) -> tuple[Trial, ...]:
-        """Every trial: the first of each cell, then the second of each, so that all cells fill evenly."""
+        """The first trial of each cell, then the second of each, and so on, so that all cells fill evenly."""
         base_seed = self.base.config["seed"]
         return tuple(
             Trial(cell, repetition, trial_seed(cell.identity, base_seed, repetition))
@@ -127,7 +127,7 @@ class Sweep:
 
     @property
     def hash(self) -> str:
-        """Identity of a sweep, open to new points and trials: name, axes, seeds, split, shared config."""
+        """Identity by name, axes, seeds, split, shared config; a sweep is open to new points and trials."""
         values = self.base.config["sweep"]
         split, common_seeds = values.get("suite", {}).get("split"), sorted(values.get("common_seeds", []))
         specs = values["axes"].items()  # no keys of named points: a new point may set others
@@ -246,7 +246,7 @@ def _common_seeds(values: Mapping[str, Any], axes: Sequence[Axis]) -> frozenset[
 def _cells(axes: Sequence[Axis], common_seeds: frozenset[str], variations: Variations) -> Iterator[Cell]:
     """Every combination of the axes' points."""
     known: dict[str, tuple[str, ...]] = {}
-    identities: dict[str, str] = {}  # by the settings that determine seeds
+    identities: dict[str, str] = {}  #: by the settings that determine seeds
     for points in itertools.product(*(axis.points for axis in axes)):
         settings: dict[str, Any] = {}
         seeding: dict[str, Any] = {}

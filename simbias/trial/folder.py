@@ -57,11 +57,11 @@ class TakenError(ConfigError):
 class Withdrawal:
     """An experiment that a person withdrew."""
 
-    experiment: str  # its file
+    experiment: str  #: its file
     reason: str
-    superseded: tuple[str, ...]  # files of the steps after it
-    time: float  # s since the epoch
-    seconds: float  # wall time of the trial until then
+    superseded: tuple[str, ...]  #: files of the steps after it
+    time: float  #: s since the epoch
+    seconds: float  #: wall time of the trial until then
 
     def __str__(self) -> str:
         return f"{self.experiment} was withdrawn{f': {self.reason}' if self.reason else ''}"
@@ -71,8 +71,8 @@ class Origin(NamedTuple):
     """An earlier trial, with the steps of which another one begins."""
 
     hash: str
-    experiments: int  # that counted
-    seconds: float  # its wall time
+    experiments: int  #: that counted
+    seconds: float  #: its wall time
     platforms: list[str]
 
 

@@ -37,13 +37,13 @@ ENDED = "simbias: trial %s ended without what this command asks for, such as a t
 class TrialRecord:
     """The record of a trial, up to its end or to where it stopped."""
 
-    study: Study
-    summary: TrialSummary
-    iterations: tuple[Iteration, ...]  # finished iterations
-    unfinished: tuple[Rollout, ...] = ()  # experiments of the unfinished iteration
-    policy_test: PolicyTestResult | None = None  # of the last policy, if requested
+    study: Study  #: as it was run
+    summary: TrialSummary  #: its numbers in a row
+    iterations: tuple[Iteration, ...]  #: finished iterations
+    unfinished: tuple[Rollout, ...] = ()  #: experiments of the unfinished iteration
+    policy_test: PolicyTestResult | None = None  #: of the last policy, if requested
     traceback: str = ""  # empty for a bad key or file, which the reason names
-    withdrawn: tuple[Withdrawal, ...] = ()  # experiments that a person withdrew
+    withdrawn: tuple[Withdrawal, ...] = ()  #: experiments that a person withdrew
     changed_code: str = ""  # the user's modules and files that changed since it began, if read from a folder
 
     def __repr__(self) -> str:

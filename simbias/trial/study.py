@@ -66,7 +66,7 @@ class Origin(Protocol):
 
     @property
     def hash(self) -> str:
-        """The trial's identity: a hash of everything that affects its result."""
+        """The trial's identity, a hash of everything that affects its result."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,13 +85,13 @@ class Study:
     optimizer: Optimizer
     method: Method
     seed: int
-    composition: Origin  # what the components were built from
-    hardware_of: Callable[[Task], Hardware]  # reconstructs the hardware for another horizon
-    nominal_of: Callable[[Task], Nominal]  # reconstructs the nominal model for another time step
-    conditions: ExperimentConditions = DEFAULT_CONDITIONS  # of hardware experiments
+    composition: Origin  #: what the components were built from
+    hardware_of: Callable[[Task], Hardware]  #: reconstructs the hardware for another horizon
+    nominal_of: Callable[[Task], Nominal]  #: reconstructs the nominal model for another time step
+    conditions: ExperimentConditions = DEFAULT_CONDITIONS  #: of hardware experiments
     policy_test: PolicyTest = NO_TEST
     budget: Budget = NO_LIMITS
-    spending: Spending = field(default_factory=Spending)  # of the budget in a running trial
+    spending: Spending = field(default_factory=Spending)  #: of the budget in a running trial
 
     @property
     def config(self) -> Mapping[str, Any]:
@@ -105,12 +105,12 @@ class Study:
 
     @property
     def without_targets(self) -> Study:
-        """The study for recording and identifying the robot: its task has no targets."""
+        """The study for recording and identifying the robot, whose task has no targets."""
         return replace(self, task=self.task.without_targets) if self.task.targets else self
 
     @property
     def title(self) -> str:
-        """A short title: the choices that distinguish trials."""
+        """A short title of the choices that distinguish trials."""
         choices = self.choices
         return (
             f"{choices['method']} on {choices['task']}: nominal {choices['nominal']}, "
@@ -119,7 +119,7 @@ class Study:
 
     @property
     def hash(self) -> str:
-        """The trial's identity: a hash of everything that affects its result."""
+        """The trial's identity, a hash of everything that affects its result."""
         return self.composition.hash
 
     def run(self, observer: Observer | None = None) -> Iterator[Iteration]:

@@ -66,7 +66,7 @@ class Identified(Nominal):
 
     @property
     def mean_deviation(self) -> float:
-        """Standard deviation of the coordinates: the geometric mean over directions."""
+        """Standard deviation of the coordinates, as a geometric mean over directions."""
         return float(np.exp(np.linalg.slogdet(self.covariance)[1] / (2 * len(self.mode))))
 
     def step(self, x: Array, u: Array) -> Array:
