@@ -1,6 +1,7 @@
 """The documentation site, made of the texts beside the code and of docstrings; see CONTRIBUTING."""
 
 from sphinx.ext.napoleon import NumpyDocstring
+from sphinx.util.inspect import TypeAliasForwardRef
 
 import simbias
 
@@ -19,3 +20,4 @@ html_theme = "furo"
 
 # Napoleon takes what stands before a colon in an attribute's text for its type.
 NumpyDocstring._parse_attribute_docstring = NumpyDocstring._consume_to_end
+TypeAliasForwardRef.__repr__ = lambda alias: alias.name  # also in unions

@@ -20,7 +20,7 @@ Flags = NDArray[np.bool_]
 MEMORY = 1000  # frames of a constant input that bring a model state to its steady value
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Rollout:
     """One run of a policy, in simulation or on hardware, up to its failure or to the horizon T.
 
@@ -39,6 +39,11 @@ class Rollout:
     source: str | None = None  #: the file it was read from, if a person provided it
     earlier: Rollout | None = None  #: the part of its recording before it
     continues: bool = False  #: whether it follows a gap in a recording: earlier inputs are unknown
+
+    def __repr__(self) -> str:
+        """The rollout in a line, e.g. in a notebook."""
+        end = "" if self.failed_at is None else f", failed: {self.failure}"
+        return f"<rollout of {self.frames} frames, cost {self.cost:.3g}{end}>"
 
     @property
     def frames(self) -> int:
@@ -165,7 +170,7 @@ class Learning:
     log_likelihoods: Mapping[str, float] = field(default_factory=dict)  #: nats, of each model variant, if any
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Iteration:
     """One pass through the loop of a method, with the parts that the method has."""
 
@@ -179,3 +184,9 @@ class Iteration:
     search: Search | None = None  #: lines 4 and 5
     learning: Learning | None = None  #: lines 6 to 8, and 13
     seconds: Mapping[str, float] = field(default_factory=dict)  #: wall time of each phase
+
+    def __repr__(self) -> str:
+        """The iteration in a line, e.g. in a notebook."""
+        ended = "succeeded" if self.succeeded else "not succeeded"
+        made = f"hardware cost {self.hardware_cost:.3g}, {self.total_experiments} experiments so far"
+        return f"<iteration {self.index}: {ended}, {made}>"

@@ -26,7 +26,7 @@ from simbias.trial.study import Study
 UNEXPLAINED = 2.0  # times the errors explained by noise and uncertainty: beyond, the model is incomplete
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Assessment:
     """A model identified from recordings, and what is known of it."""
 
@@ -43,6 +43,11 @@ class Assessment:
     by_window: Mapping[float, float]  #: window in s -> deviations relative to those of `identified`
     steps_checked: bool  #: whether the effect of shorter integration steps on parameters is known
     learned: Sequence[Digest]  #: of all recordings that `identified` has learned, also earlier
+
+    def __repr__(self) -> str:
+        """The assessment in a line, e.g. in a notebook."""
+        trusted = f"{sum(each.trusted for each in self.findings)} of {len(self.findings)} parameters trusted"
+        return f"<assessment: {self.ratio:.2f} of the nominal model's error, {trusted}>"
 
     @property
     def task(self) -> Task:

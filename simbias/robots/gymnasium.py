@@ -195,6 +195,9 @@ def _make(name: str, options: dict[str, Any]) -> Any:
         raise ValueError(f"{quote(name)} names a module; only registered environments can be used")
     try:
         return gymnasium.make(name, max_episode_steps=-1, disable_env_checker=True, **options)
+    except gymnasium.error.UnregisteredEnv as error:
+        hint = "register your own in the module of another own component"
+        raise ValueError(f"{quote(name)}: {words(error).rstrip('.')}; {hint}") from error
     except Exception as error:  # also an environment's own errors
         raise ValueError(f"{quote(name)}: {words(error)}") from error
 
@@ -215,6 +218,8 @@ def _start(own: Any, task: Task, start: Start | None, name: str) -> Any:
             raise ValueError(f"start: {name} has {sizes[0]} positions and {sizes[1]} velocities")
         return lambda x: own.set_state(qpos(x), qvel(x))
     if start.state and start.qpos is None and start.qvel is None and hasattr(own, "state"):
+        if len(start.state) != (size := np.size(own.state)):
+            raise ValueError(f"start: the state of {name} has {size} numbers, got {len(start.state)}")
         state = expressions("state", start.state)
         return lambda x: setattr(own, "state", state(x))
     given = ", ".join(key for key, texts in vars(start).items() if texts)

@@ -69,7 +69,7 @@ class Origin(Protocol):
         """The trial's identity, a hash of everything that affects its result."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Study:
     """The components of a trial."""
 
@@ -92,6 +92,10 @@ class Study:
     policy_test: PolicyTest = NO_TEST
     budget: Budget = NO_LIMITS
     spending: Spending = field(default_factory=Spending)  #: of the budget in a running trial
+
+    def __repr__(self) -> str:
+        """The study in a line, e.g. in a notebook."""
+        return f"<study: {self.title}, seed {self.seed}>"
 
     @property
     def config(self) -> Mapping[str, Any]:
