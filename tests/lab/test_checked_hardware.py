@@ -230,7 +230,7 @@ LOOPS = """
 import time
 from pathlib import Path
 import numpy as np
-from point_mass import PointMass
+from point_mass import PointMass, Spring
 from simbias.core import Hardware
 from simbias.lab.checked_hardware import CheckedHardware, ExperimentConditions
 
@@ -251,12 +251,13 @@ class Arm(Hardware):
         Path(f"{self.name} stopped").touch()
 
 task = PointMass()
+policy = Spring(task)
 for timeout in (None, 60.0):
     for seconds in (0.01, 0.0):
         name, conditions = f"{timeout} {seconds}", ExperimentConditions(timeout=timeout)
         hardware = CheckedHardware(Arm(seconds, name), task, conditions)
         try:
-            hardware.run(None, np.zeros(1), np.zeros(2), np.random.default_rng(0))
+            hardware.run(policy, np.zeros(3), np.zeros(2), np.random.default_rng(0))
         except KeyboardInterrupt:
             Path(f"{name} interrupted").touch()
 """
