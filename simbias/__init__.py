@@ -41,11 +41,18 @@ _PLACES = {
 }
 
 
-def __getattr__(name: str) -> Any:
-    """A class by its name; imported lazily, as the command line's --help needs none."""
-    if name not in _PLACES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_PLACES[name]), name)
+if not TYPE_CHECKING:  # type checkers would take any name for one of these
+
+    def __getattr__(name: str) -> Any:
+        """A class by its name; imported lazily, as the command line's --help needs none."""
+        if name not in _PLACES:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return getattr(import_module(_PLACES[name]), name)
+
+
+def __dir__() -> list[str]:
+    """All names, also those imported lazily."""
+    return sorted({*globals(), *__all__})
 
 
 def load(
@@ -76,7 +83,8 @@ def run_trial(
     >>> trial = run_trial(load(["seed=3"]), "trials/mine")
 
     As on the command line, the user's own components are checked first. Steps in the folder are not repeated.
-    Without a folder, nothing is kept.
+    Without a folder, nothing is kept. A folder belongs to the study's config: a study that was changed
+    otherwise, such as by `dataclasses.replace`, needs a folder of its own.
 
     Raises
     ------
@@ -85,9 +93,15 @@ def run_trial(
     KeyboardInterrupt
         When interrupted; completed steps are kept.
     """
+    from simbias.core.errors import ConfigError
     from simbias.testing.rehearsal import rehearse
     from simbias.trial import run
+    from simbias.trial.study import Study
 
+    if not isinstance(study, Study):
+        raise ConfigError(
+            "study", f"expected one, such as simbias.load({study!r}), got {type(study).__name__}"
+        )
     rehearse(study)
     return run.run_trial(study, None if folder is None else Path(folder), observer)
 
@@ -172,9 +186,9 @@ def identify(
     from simbias.recordings.reading import read_apart
     from simbias.recordings.study import study_of
 
-    study = study_of(overrides, config_dir, allow)
     for name, paths in (("recordings", recordings), ("held_out", held_out)):
         check_list(name, paths, (str, Path), "files and folders")
+    study = study_of(overrides, config_dir, allow)
     fitted, kept = read_apart(study, recordings, held_out, columns, LONGEST)
     for note in (*fitted.notes, *kept.notes):
         warnings.warn(note, stacklevel=2)

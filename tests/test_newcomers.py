@@ -19,7 +19,7 @@ from texts import write
 import simbias
 from simbias.__main__ import main
 from simbias.config import ConfigError
-from simbias.core import NOT_A_NUMBER, Bias, Cost, FittedBias, Nominal, error_origin
+from simbias.core import NOT_A_NUMBER, Bias, Cost, FittedBias, HardwareError, Nominal, error_origin
 from simbias.core.commands import BAD_INPUT
 from simbias.core.ranges import frames_in
 from simbias.core.records import Array, Indices, Rollout, Selection, Transitions
@@ -63,6 +63,14 @@ class OneColumn(robot.WithoutWind):
 class Unbounded(robot.Spring):
     def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
         return 1e3 * x[..., :1], policy_state
+
+
+class Single(robot.Spring):
+    """In single precision, which rounds its limits."""
+
+    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
+        u, policy_state = super().act(theta, x, t, policy_state)
+        return u * (1 + 1e-7), policy_state
 
 
 class ImitatesByOne(robot.Spring):
@@ -131,12 +139,14 @@ def test_what_an_own_component_breaks_is_one_line_before_the_trial(compilable: S
 
 
 def test_an_own_policy_cannot_move_a_robot_beyond_its_limits(point_mass: Study) -> None:
-    """From Python, a trial is refused as on the command line; a single experiment is aborted."""
+    """From Python, a trial is refused as on the command line, and so is a single input; rounding is not."""
     study = replace(point_mass, policy=Unbounded(point_mass.task))
     with pytest.raises(ConfigError, match=r"^Unbounded.act: expected inputs within \[-5"):
         simbias.run_trial(study)
-    aborted = study.experiment(np.ones(3), np.random.default_rng(0))
-    assert (aborted.failed_at, aborted.failure) == (0, "unsafe_input_force")
+    with pytest.raises(HardwareError, match=r"^Unbounded.act: expected inputs within \[-5"):
+        study.experiment(np.ones(3), np.random.default_rng(0))
+    single = replace(study, policy=Single(point_mass.task))
+    assert single.experiment(np.array([100.0, 0.0, 0.0]), np.random.default_rng(0)).frames > 0
 
 
 def test_what_is_no_list_is_said_to_be_none(tmp_path: Path) -> None:

@@ -146,7 +146,7 @@ def test_the_wheel_carries_what_commands_read_and_no_pictures(wheel: Path) -> No
     assert len(read) > 100
     assert {f"simbias/{file.relative_to(ROOT).as_posix()}" for file in read} <= names
     assert {Path(name).suffix for name in names if name.startswith("simbias/")} == {
-        *(".csv", ".md", ".py", ".xml", ".yaml"),
+        *(".csv", ".md", ".py", ".typed", ".xml", ".yaml"),
     }
     assert not [name for name in names if name.startswith("simbias/sweeps/studies")]
 

@@ -36,7 +36,7 @@ def construct(config: Any, contract: type, key: str, own: Own = NOTHING, **provi
     """
     component = component_class(config, key, own.modules)
     if not issubclass(component, contract):
-        raise ConfigError(f"{key}.{TARGET}", f"{config[TARGET]} is no {contract.__name__.lower()}")
+        raise ConfigError(f"{key}.{TARGET}", f"{config[TARGET]} is not a {contract.__name__.lower()}")
     parameters = constructor_parameters(component)
     for name in provided:
         if name in config:

@@ -108,6 +108,7 @@ class Variations:
                 raise ConfigError("--config-dir", f"no such folder: {config_dir}")
             check_no_primary(Path(config_dir))
         check_list("overrides", overrides, str, "texts such as 'seed=3'")
+        check_list("allow", allow, str, "modules")
         # A dry run needs no + if a sweep's file lacks the key.
         self.overrides = [re.sub(r"^\+{0,2}(?=sweep\.dry_run=)", "++", each) for each in overrides]
         self._config_dir = None if config_dir is None else str(Path(config_dir).resolve())

@@ -24,7 +24,7 @@ from simbias.core.interruption import deferred
 from simbias.core.messages import with_type
 from simbias.core.records import Array, Rollout
 from simbias.lab.checks import check_rollout
-from simbias.lab.safety import NO_LIMITS, Safety, SafetyLimitedPolicy
+from simbias.lab.safety import NO_LIMITS, Safety, SafetyLimitedPolicy, within_limits
 from simbias.lab.targets import WithTargets, beside
 
 STOP_SECONDS = 5.0  # for `Hardware.stop`, and again for the stopped experiment to end
@@ -162,12 +162,12 @@ class CheckedHardware(Hardware):
                 raise Waiting("the experiment was not confirmed (hardware.confirm=true)")
         self._unconfirmed.clear()
         start, targets = np.split(start, [len(self._task.states)])
-        bounds = self._bounds
-        if bounds is None and is_own(policy):  # which may break its contract: to act within the task's limits
-            bounds = NO_LIMITS.bounds(self._task)
+        own = is_own(policy)
         policy = WithTargets(policy, targets, self._targets) if len(targets) else policy
-        if bounds is not None:
-            policy = SafetyLimitedPolicy(policy, self._task, bounds)
+        if self._bounds is not None:
+            policy = SafetyLimitedPolicy(policy, self._task, self._bounds)
+        elif own:  # it may break its contract
+            policy = within_limits(policy, self._task)
         returned = self._run(policy, theta.copy(), start.copy(), rng)  # the hardware may overwrite its copies
         return beside(replace(self._checked(returned, theta, start), parameters=theta), targets)
 

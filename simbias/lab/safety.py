@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -220,6 +221,39 @@ class SafetyLimitedPolicy(Policy):
 def without_limits(policy: Policy) -> Policy:
     """The underlying policy, without safety limits."""
     return policy.policy if isinstance(policy, SafetyLimitedPolicy) else policy
+
+
+def within_limits(policy: Policy, task: Task) -> Policy:
+    """A copy of a policy whose controller raises an error instead of an input beyond the task's limits."""
+
+    def controller(theta: Array, time_step: float) -> Controller:
+        return _ControllerWithinLimits(policy.controller(theta, time_step), policy, task)
+
+    limited = copy(policy)
+    limited.controller = controller  # type: ignore[method-assign]
+    return limited
+
+
+class _ControllerWithinLimits(Controller):
+    """A controller that raises instead of returning an input beyond the task's limits."""
+
+    def __init__(self, controller: Controller, policy: Policy, task: Task) -> None:
+        self._controller, self._bounds = controller, task.input_bounds
+        self._name = type(getattr(policy, "policy", policy)).__name__
+
+    def __call__(self, x: Array) -> Array:
+        """Input u (m,) at the state x (n,) of the next frame; HardwareError if it is beyond the limits."""
+        u, (lower, upper) = self._controller(x), self._bounds
+        tolerance = RECORDED_ROUNDING * np.maximum(np.abs(lower), np.abs(upper))  # single precision
+        if ((u < lower - tolerance) | (u > upper + tolerance)).any():
+            limits = f"within {lower} and {upper}"
+            raise HardwareError(f"{self._name}.act: expected inputs {limits}, got {np.asarray(u)}")
+        return u
+
+    @property
+    def policy_state(self) -> Array:  # type: ignore[override]
+        """The policy state (s,) of the next frame."""
+        return self._controller.policy_state
 
 
 class _SafetyLimitedController(Controller):

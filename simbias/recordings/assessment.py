@@ -99,7 +99,7 @@ class Assessment:
 
     @property
     def sound(self) -> bool:
-        """Whether a trial may begin with the model; it is better, and trusted in part, with right signs."""
+        """Whether a trial may begin with the model, as it is better, partly trusted, and has the right signs."""
         return self.better and self.trusted and not self.mistakes
 
     @property

@@ -196,8 +196,8 @@ def _make(name: str, options: dict[str, Any]) -> Any:
     try:
         return gymnasium.make(name, max_episode_steps=-1, disable_env_checker=True, **options)
     except gymnasium.error.UnregisteredEnv as error:
-        hint = "register your own in the module of another own component"
-        raise ValueError(f"{quote(name)}: {words(error).rstrip('.')}; {hint}") from error
+        hint = "If it is your own, call gymnasium.register in the module of one of your components."
+        raise ValueError(f"{quote(name)}: {words(error)} {hint}") from error
     except Exception as error:  # also an environment's own errors
         raise ValueError(f"{quote(name)}: {words(error)}") from error
 

@@ -86,8 +86,7 @@ def numbers(summary: TrialSummary) -> dict[str, Any]:
         "outcome": str(summary.outcome),
         "experiments": summary.experiments_until_success,
         "iterations": summary.iterations_until_success,
-        "seconds": float(f"{summary.seconds:.3g}"),  # more digits of a wall time mean nothing
-        **{name: getattr(summary, name) for name in LATER},
+        **{name: getattr(summary, name) for name in ("seconds", *LATER)},
     }
 
 

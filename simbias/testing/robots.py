@@ -10,6 +10,7 @@ from simbias.core import Nominal, Policy
 from simbias.core.parameters import values_at
 from simbias.core.records import Array
 from simbias.lab.rates import check_rates, rates_of
+from simbias.lab.safety import RECORDED_ROUNDING
 from simbias.simulation.compiler import points_of
 from simbias.simulation.numpy_loop import PlainSimulator
 from simbias.testing.expectations import (
@@ -169,7 +170,7 @@ class _Watched(Policy):
 
     def __init__(self, study: Study) -> None:
         self._policy, self.state_size = study.policy, study.policy.state_size
-        (lower, upper), rounding = study.task.input_bounds, 1e-12 * study.task.input_limit
+        (lower, upper), rounding = study.task.input_bounds, RECORDED_ROUNDING * study.task.input_limit
         self._expected = f"inputs within {lower} and {upper}"
         self._lower, self._upper = lower - rounding, upper + rounding
         self._frames = 0

@@ -295,8 +295,8 @@ class Study:
 
         Its costs are those of the old horizon. ValueError if the horizon is no positive whole number.
         """
-        if horizon != int(horizon) or horizon < 1:
-            raise ValueError(f"horizon: expected a positive number of frames, got {horizon}")
+        if not isinstance(horizon, int | np.integer) or horizon < 1:
+            raise ValueError(f"horizon: expected a positive whole number of frames, got {horizon}")
         task = self.task.with_horizon(horizon)
         hardware = self.checked_hardware.with_hardware(self.hardware_of(task), task)
         return replace(self, task=task, hardware=hardware)

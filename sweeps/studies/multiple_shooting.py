@@ -43,6 +43,8 @@ def translated(method: Any, *sizes: int) -> Any:
     trace = Trace()
     rows = [row(trace, f"v{index}", size) for index, size in enumerate(sizes)]
     results = symbols_in(method(*rows), trace)[0]
+    if trace.functions:
+        raise TypeError("an engine's step has no formula")
     v = casadi.SX.sym("v", sum(sizes))
     given = [symbol.index for each in rows for symbol in each[0]]
     values = dict(zip(given, casadi.vertsplit(v), strict=True))

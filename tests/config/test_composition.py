@@ -53,7 +53,7 @@ BAD = {  # by override: its key, and what is said of it
     "seed=range(1,3)": ("seed=range(1,3)", "or run many trials as a sweep (+sweep=NAME)"),
     "seed=???": ("seed", "Missing mandatory value"),
     "seed=${nosuch}": ("seed", "Interpolation key 'nosuch' not found"),
-    "bias._target_=simbias.cost.quadratic.Quadratic": ("bias._target_", "is no bias"),
+    "bias._target_=simbias.cost.quadratic.Quadratic": ("bias._target_", "is not a bias"),
     "bias._target_=simbias.no.such.Class": ("bias._target_", "cannot import 'simbias.no.such.Class'"),
     "+bias.task=1": ("bias.task", "is provided"),
     "hydra.searchpath=[file:///no/such/folder]": ("", "/no/such/folder"),

@@ -90,7 +90,7 @@ def test_what_does_not_go_with_the_task_is_one_line() -> None:
         ({"start": Start(qpos=["angle"], qvel=["rate"])}, "start: Pendulum-v1 cannot be set by qpos, qvel"),
         ({"start": Start()}, "start: no expressions are given"),
         ({"start": Start(state=["angle"])}, "start: the state of Pendulum-v1 has 2 numbers, got 1"),
-        ({"environment": "Mine-v0"}, "doesn't exist; register your own in the module of an"),
+        ({"environment": "Mine-v0"}, "doesn't exist. If it is your own, call gymnasium.register"),
         ({"factors": {"*.mass": 2.0}}, "Pendulum-v1 is not a MuJoCo environment"),
         ({"options": {"colour": 1}}, "'Pendulum-v1': "),
     ]

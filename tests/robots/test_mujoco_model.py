@@ -19,6 +19,7 @@ from errors import one_line
 from in_numpy import OfAllLanes
 from interpreted import interpreted, predicted_as_plain
 from mechanisms import DOUBLE, LIFT, MOTOR, URDF, cart_pole, mjcf
+from models import Sliding
 from numba import get_num_threads, set_num_threads
 
 import simbias
@@ -447,6 +448,21 @@ def test_a_policy_that_predicts_by_the_engine_is_compiled_but_no_code() -> None:
         np.testing.assert_allclose(made.inputs, expected.inputs, rtol=1e-9, atol=1e-9)
     why = formulas_of(study.policy, study.task, thetas[0])
     assert "it predicts with a model that has no formula, such as MuJoCo's" in str(why)
+
+
+def test_a_compiled_policy_keeps_the_models_that_it_calls() -> None:
+    study = simbias.load(["preset=double_cartpole", "tracking=none"])
+    policy = Sliding(study.task, study.nominal)
+    model, theta = replace(study.first_model(), policy=policy), np.full((1, policy.n_parameters), 0.1)
+    start = study.task.start_mean[None]
+    compiled = CompiledSimulator.of(model, None)
+    assert compiled
+    gc.collect()
+    (made,), (expected,) = (
+        each.rollouts(theta, start) for each in (compiled, PlainSimulator([model], [None]))
+    )
+    np.testing.assert_allclose(made.states, expected.states, rtol=1e-9, atol=1e-9)
+    assert made.frames > 2
 
 
 def test_without_mujoco_it_is_said_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,8 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from simbias.core import Nominal
+from simbias.core import Nominal, Task
 from simbias.core.records import Array
+from simbias.policy.output_feedback import OutputFeedback
 
 
 def with_values(model: Any, **values: float) -> Any:
@@ -22,3 +23,15 @@ def driven(model: Nominal, start: Array, inputs: Array) -> Array:
         x, memory = model.advance(states[-1], u, memory)
         states.append(x)
     return np.array(states)
+
+
+class Sliding(OutputFeedback):
+    """Output feedback of the state that a temporary model predicts."""
+
+    def __init__(self, task: Task, nominal: Nominal) -> None:
+        super().__init__(task)
+        self.nominal = nominal
+
+    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
+        ahead = self.nominal.without_dry_friction().step(x, 0.0 * x[..., :1])
+        return super().act(theta, ahead, t, policy_state)

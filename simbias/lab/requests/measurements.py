@@ -21,7 +21,7 @@ FAILURE = "failure"  # column of a file, beside time, states and inputs
 STILL = "simbias: %s: %s stands still while %s does not: is a sensor dead?"
 OTHER = (
     "simbias: %s: %s differs from what the requested policy commands in these states: is it of another "
-    "experiment, or late? If it is wrong, withdraw the experiment, or begin ask and tell again"
+    "experiment, or late? If so, withdraw the experiment, or begin ask and tell again"
 )
 UNLIKE = 0.7  # of the root mean square of commands: larger differences suggest another policy
 LASTS = 0.5  # autocorrelation above which a difference is not noise

@@ -80,7 +80,7 @@ class Mujoco(Nominal):
     def step(self, x: Array, u: Array) -> Array:
         """x_next (..., n), one frame after x (..., n) under u (..., m); a diverged state stays diverged."""
         if is_traced(x, u):  # of a policy that predicts with this model
-            return traced_call(self.kernel, x.shape[-1], x, u)
+            return traced_call(self, self.kernel, x.shape[-1], x, u)
         leading = np.broadcast_shapes(x.shape[:-1], u.shape[:-1])
         x, u = (np.broadcast_to(a, (*leading, a.shape[-1])).reshape(-1, a.shape[-1]) for a in (x, u))
         x_next = np.full_like(x, np.nan)

@@ -20,10 +20,11 @@ def is_traced(*vectors: Array) -> bool:
     return any(vector.dtype == object for vector in vectors)
 
 
-def traced_call(kernel: Kernel, size: int, *vectors: Array) -> Array:
-    """A kernel's results (..., size) for vectors (..., .) of symbols and numbers."""
+def traced_call(owner: Any, kernel: Kernel, size: int, *vectors: Array) -> Array:
+    """A kernel's results (..., size) for vectors (..., .) of symbols and numbers; its owner is kept."""
     trace, shape = trace_of(vectors), np.broadcast_shapes(*(vector.shape[:-1] for vector in vectors))
     assert trace is not None
+    trace.kept.append(owner)
     columns = [
         np.broadcast_to(symbols_in(each, trace), (*shape, each.shape[-1])).reshape(-1, each.shape[-1])
         for each in vectors

@@ -35,6 +35,7 @@ class Trace:
     def __init__(self) -> None:
         self.symbols: list[Symbol] = []
         self.functions: dict[str, Callable] = {}  # that are called, by their names in the text
+        self.kept: list[Any] = []  # what their parameters are addresses of
         self._known: dict[tuple, Symbol] = {}
         self._counted = 0  # number of symbols, except arguments and table entries, which need no compilation
 

@@ -37,6 +37,7 @@ class KernelOrReason(NamedTuple):
 
     kernel: Any  # a `PolicyKernel` for a policy; None if there is none
     why_not: str = ""
+    kept: Sequence[Any] = ()  # of what the kernel has addresses
 
 
 def parts_of(model: Model) -> tuple[KernelOrReason, KernelOrReason, KernelOrReason, KernelOrReason]:
@@ -103,14 +104,14 @@ def _traced(component: Any, method: str, vectors: dict[str, Array], sizes: Seque
     arguments = list(vectors)  # of the kernel, whose parameters come before a model state
     arguments.insert(len(vectors) - ("model_state" in vectors), "p")
 
-    def trace(subject: Callable) -> Kernel:
-        trace = Trace()
+    def write(trace: Trace, subject: Callable) -> Kernel:
         given = [
             row(trace, name, each.shape[1]) if each.ndim > 1 else array([trace.given(name)])
             for name, each in vectors.items()
         ]
         made = subject(*given)
         results = _vectors(made if len(sizes) > 1 else (made,), sizes, trace)
+        _refuse_calls(trace)  # models are many; to trace each takes longer than to predict in NumPy
         return written(trace, results, ", ".join(arguments))
 
     def check(subject: Callable, kernel: Kernel) -> None:
@@ -118,7 +119,7 @@ def _traced(component: Any, method: str, vectors: dict[str, Array], sizes: Seque
         made = columns(kernel.function, *(given[name] for name in arguments))
         compare(subject, list(vectors.values()), made if len(sizes) > 1 else (made,))
 
-    return _part(component, method, trace, check)
+    return _part(component, method, write, check)
 
 
 class PolicyKernel(NamedTuple):
@@ -146,8 +147,7 @@ def of_policy(policy: Policy, task: Task, points: Points) -> KernelOrReason:
     """The kernel of a policy's `act`."""
     p, s = policy.n_parameters, policy.state_size
 
-    def trace(subject: Callable) -> PolicyKernel:
-        trace = Trace()
+    def write(trace: Trace, subject: Callable) -> PolicyKernel:
         _, u, kept = _formulas(trace, subject, policy, task, row(trace, "theta", p))
         fixed, lookup = _of_thetas_alone(trace, [u, kept]), Lookup.among(needed(trace, [u, kept]))
         arguments = "p, x, t, policy_state, c" + ", row" * bool(lookup.columns)
@@ -174,23 +174,25 @@ def of_policy(policy: Policy, task: Task, points: Points) -> KernelOrReason:
                 [thetas, near, state],
                 made(near, t, state),
             )
-        if s:  # realistic states, not random numbers
+        if s and traced.function not in _COMPARED:  # realistic states, not random numbers
             compare_frames(lambda x, t, state: subject(thetas, x, t, state), made, near, s)
+        _COMPARED.add(traced.function)
 
-    return _once(policy, "act", lambda: _part(policy, "act", trace, check))
+    return _once(policy, "act", lambda: _part(policy, "act", write, check))
+
+
+_COMPARED: set[Callable] = set()  # policies that differ in numbers only have the same function
 
 
 def formulas_of(policy: Policy, task: Task, theta: Array, method: str = "act") -> Formulas | str:
     """Formulas of the policy theta (p,) in a frame, or the reason why they cannot be written down."""
 
-    def trace(subject: Callable) -> Formulas:
-        return _formulas(Trace(), subject, policy, task, theta[None])
+    def write(trace: Trace, subject: Callable) -> Formulas:
+        formulas = _formulas(trace, subject, policy, task, theta[None])
+        _refuse_calls(trace)
+        return formulas
 
-    def check(subject: Callable, formulas: Formulas) -> None:
-        if formulas.trace.functions:
-            raise TraceError("it predicts with a model that has no formula, such as MuJoCo's")
-
-    part = _part(policy, method, trace, check)
+    part = _part(policy, method, write, lambda subject, formulas: None)
     return part.kernel or part.why_not
 
 
@@ -227,16 +229,22 @@ def _vectors(made: Any, sizes: Sequence[int], trace: Trace) -> list[list[Symbol]
     return [list(vector[0]) for vector in vectors]
 
 
-def _part(component: Any, method: str, trace: Callable, check: Callable) -> KernelOrReason:
+def _refuse_calls(trace: Trace) -> None:
+    """Refuse a trace that calls kernels."""
+    if trace.functions:
+        raise TraceError("it predicts with a model that has no formula, such as MuJoCo's")
+
+
+def _part(component: Any, method: str, write: Callable, check: Callable) -> KernelOrReason:
     """The kernel of a method, or why there is none."""
-    place = written_at(component, method)
+    place, trace = written_at(component, method), Trace()
     try:
         for each in _within(component):
             if _knows_foreign_code(type(each)):  # type: ignore[arg-type]  # (mypy: a class has a hash)
                 raise TraceError("its module calls code by ctypes or cffi")
         subject = getattr(copy(component), method)  # a copy, so that the trace leaves no memory
         with np.errstate(all="ignore"):
-            kernel = trace(subject)
+            kernel = write(trace, subject)
             check(subject, kernel)
     except Exception as error:
         frames = [frame for frame in traceback.extract_tb(error.__traceback__) if is_users(frame.filename)]
@@ -244,7 +252,7 @@ def _part(component: Any, method: str, trace: Callable, check: Callable) -> Kern
         refused = next((each for each in (error, error.__cause__) if isinstance(each, TraceError)), None)
         why = str(refused) if refused else with_type(error, 100)
         return KernelOrReason(None, f"{type(component).__name__}.{method} ({place}: {why})")
-    return KernelOrReason(kernel)
+    return KernelOrReason(kernel, kept=trace.kept)
 
 
 def _within(component: Any) -> Iterator[Any]:
