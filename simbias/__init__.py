@@ -99,9 +99,7 @@ def run_trial(
     from simbias.trial.study import Study
 
     if not isinstance(study, Study):
-        raise ConfigError(
-            "study", f"expected one, such as simbias.load({study!r}), got {type(study).__name__}"
-        )
+        raise ConfigError("study", f"expected one, as simbias.load gives it, got {type(study).__name__}")
     rehearse(study)
     return run.run_trial(study, None if folder is None else Path(folder), observer)
 

@@ -176,7 +176,7 @@ def in_powers(values: Sequence[float], axis: Axis) -> str:
     if axis.get_scale() == "log" or not largest or PLAIN[0] <= largest < PLAIN[1]:
         return ""
     power = int(np.floor(np.log10(largest)))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value / 10.0**power:g}".replace("-", "−")))
+    axis.set_major_formatter(FuncFormatter(lambda z, _: FuncFormatter.fix_minus(f"{z / 10.0**power:g}")))
     return "10" + str(power).translate(SUPERSCRIPTS)
 
 
