@@ -99,7 +99,7 @@ class Assessment:
 
     @property
     def sound(self) -> bool:
-        """Whether a trial may begin with the model, as it is better, partly trusted, and its signs are right."""
+        """Whether a trial may begin with the model: it is better, partly trusted, and has right signs."""
         return self.better and self.trusted and not self.mistakes
 
     @property
