@@ -6,7 +6,7 @@
 | a policy | `policy.py` |
 | a nominal model, identification, samples, a bias | `model.py` |
 | a cost, an evaluation, an optimizer | `search.py`, `objective.py` |
-| compiled functions | `kernel.py`, and `simbias.simulation.compiler.kernels` |
+| compiled functions | `simbias.simulation.compiler.kernels` |
 | a method | `simbias.trial.method`, and `simbias.trial.study`, which a method runs |
 
 All names are imported from here.
@@ -24,8 +24,7 @@ only by rounding. A component may provide a `kernel` instead (`simbias.simulatio
 """
 
 from simbias.core.errors import StudyWarning
-from simbias.core.kernel import Kernel
-from simbias.core.model import Bias, FittedBias, Identification, Model, Nominal, Samples
+from simbias.core.model import Bias, FittedBias, Identification, Kernel, Model, Nominal, Samples
 from simbias.core.objective import Objective
 from simbias.core.policy import Controller, Law, Policy
 from simbias.core.quantities import Quantity, rate_pairs, rates_and_positions, wrapped

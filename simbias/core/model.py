@@ -6,16 +6,26 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from simbias.core.kernel import Kernel
 from simbias.core.parameters import Estimate, Parameter, values_at
 from simbias.core.policy import Policy
 from simbias.core.records import Array, Rollout, Selection, Transitions
 from simbias.core.robot import Task
 
 MOST_DRAWS = 1000  # of parameters, before giving up on finding feasible ones
+
+
+class Kernel(NamedTuple):
+    """A component's function in the compiled closed loop: see `simbias.simulation.compiler.kernels`.
+
+    Without a kernel, the component's method is traced if it is ordinary vectorised NumPy.
+    """
+
+    function: Callable
+    parameters: Any  #: an array; for a bias that works on all lanes, a tuple of arrays
 
 
 class Nominal(ABC):
