@@ -11,8 +11,8 @@ from pydantic import Field
 from simbias.core import Nominal, Policy, Task
 from simbias.core.ranges import Bound, NonNegative
 from simbias.core.records import Array
-from simbias.policy.limits import limits_of
 from simbias.policy.observer import OBSERVERS, LookAhead, ObserverKind
+from simbias.simulation.linearization import limits_of
 from simbias.simulation.noise import QUIET, Variances
 
 Kind = Literal["mlp", "rbf"]

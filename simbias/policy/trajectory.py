@@ -11,9 +11,9 @@ from pydantic import Field
 from simbias.core import Law, Nominal, Policy, Task, wrapped
 from simbias.core.ranges import NonNegative, Positive
 from simbias.core.records import Array
-from simbias.policy.limits import limits_of
 from simbias.policy.observer import OBSERVERS, ObserverKind
 from simbias.simulation.compiler import scheduled
+from simbias.simulation.linearization import limits_of
 from simbias.simulation.noise import QUIET, Variances
 
 SMALL = 0.1  # maximum share of the input limits for the friction gains

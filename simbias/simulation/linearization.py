@@ -20,6 +20,15 @@ def input_scale(task: Task) -> Array:
     return np.where(np.isfinite(task.input_limit), task.input_limit, 1.0)
 
 
+def limits_of(task: Task) -> tuple[Array, Array]:
+    """Lower and upper limits (m,) of the inputs; ValueError if an input has none."""
+    bounds = task.input_bounds
+    for each, limits in zip(task.inputs, np.transpose(bounds), strict=True):
+        if not np.isfinite(limits).all():
+            raise ValueError(f"inputs.{each.name} has no limit, but this policy needs one")
+    return bounds
+
+
 def derivatives(function: Callable[[Array], Array], points: Array, steps: Array) -> Array:
     """Derivatives (..., k, l) of a function (..., k) at points (..., l), by differences with steps (l,)."""
     moved = np.diag(steps)
