@@ -21,11 +21,10 @@ from simbias.policy.trajectory import Trajectory
 from simbias.search.optimizer import ilqr
 from simbias.search.optimizer.following import STIFFER, Following
 from simbias.search.optimizer.ilqr import Shooting, _unfailing
-from simbias.search.optimizer.riccati import regulator, solved
 from simbias.search.optimizer.trajectory_candidates import trajectory_candidates
 from simbias.simulation.closed_loop import simulator
 from simbias.simulation.goal import goal_along, goal_at_rest
-from simbias.simulation.linearization import linearization
+from simbias.simulation.linearization import linearization, regulation, solved
 from simbias.trial.methods.model_based import ModelBased
 from simbias.trial.run import run_trial
 from simbias.trial.study import Study
@@ -44,14 +43,14 @@ def cartpole() -> Study:
 
 def test_after_many_frames_the_gains_are_those_of_the_riccati_equation() -> None:
     Q, R, many = np.diag([2.0, 1.0]), np.array([[0.5]]), 300
-    _, K, V = solved(regulator(np.tile(M, (many, 1, 1)), Q, R, Q), 2)
+    _, K, V = solved(regulation(np.tile(M, (many, 1, 1)), Q, R, Q), 2)
     S = solve_discrete_are(A, B, Q, R)
     np.testing.assert_allclose(V, S, rtol=1e-9)
     np.testing.assert_allclose(K[0], np.linalg.solve(R + B.T @ S @ B, B.T @ S @ A), rtol=1e-9)
 
 
 def test_gains_are_of_what_is_seen_and_steps_end_at_limits() -> None:
-    problem = regulator(np.tile(M, (50, 1, 1)), np.eye(2), np.eye(1), np.eye(2))
+    problem = regulation(np.tile(M, (50, 1, 1)), np.eye(2), np.eye(1), np.eye(2))
     problem = problem._replace(w=np.tile([5.0, 0.0, 0.0], (50, 1)))
     k, K, _ = solved(problem, 1)
     assert (K[:, :, 1] == 0.0).all()

@@ -16,9 +16,15 @@ from simbias.core import GoalWeights, Model, wrapped
 from simbias.core.records import Array
 from simbias.policy.trajectory import Trajectory
 from simbias.search.lqr import rest
-from simbias.search.optimizer.riccati import regulator, solved
 from simbias.simulation.goal import goal_at_rest
-from simbias.simulation.linearization import advanced, derivatives, linear_regulator, linearization
+from simbias.simulation.linearization import (
+    advanced,
+    derivatives,
+    linear_regulator,
+    linearization,
+    regulation,
+    solved,
+)
 
 STEP = 1e-3  # step of differences: of states, and of inputs relative to their limits
 STIFFER = 30.0  # factor by which gains at rest may grow for the friction of joints without a motor
@@ -163,8 +169,8 @@ class Following:
         R, V = weight * np.diag(self._task.input_limit**-2.0), Q[-1]
         settled = np.empty((0, self._m, len(V)))
         if final is not None:
-            _, settled, V = solved(regulator(np.repeat(final, SETTLED, axis=0), V, R, V), self._n)
-        _, K, _ = solved(regulator(M, Q[:-1], R, V), self._n)
+            _, settled, V = solved(regulation(np.repeat(final, SETTLED, axis=0), V, R, V), self._n)
+        _, K, _ = solved(regulation(M, Q[:-1], R, V), self._n)
         return np.concatenate([K, settled[:1] if len(settled) else K[-1:]])[..., : self._n]
 
     def _compensation(self, states: Array, inputs: Array, ahead: int) -> Array:

@@ -20,10 +20,9 @@ from simbias.core.records import Array
 from simbias.policy.trajectory import Trajectory
 from simbias.search.lqr import rest
 from simbias.search.optimizer.following import STEP, Following, Plan, linear
-from simbias.search.optimizer.riccati import LinearQuadratic, beside, solved
 from simbias.simulation.closed_loop import simulator
 from simbias.simulation.goal import goal_along
-from simbias.simulation.linearization import derivatives
+from simbias.simulation.linearization import LinearQuadratic, beside, derivatives, solved
 
 ERROR_WEIGHT, RATE_WEIGHT = 1.0, 0.05  # of the goal's squared errors, 1/s; of rates
 FINAL_WEIGHT = 10.0  # in s: factor of these weights at the end
