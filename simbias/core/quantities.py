@@ -7,10 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from simbias.core.ranges import NonNegative
 from simbias.core.records import Array, Indices
 
 RATE = "/s"  # what the units of rates end with
 TURNS = {"rad": 2 * np.pi, "mrad": 2e3 * np.pi, "deg": 360.0, "°": 360.0, "rev": 1.0}  # of angles, by unit
+Weights = list[NonNegative] | dict[str, NonNegative]  # one for each quantity, or by name or kind
 
 
 class Quantity(NamedTuple):
@@ -72,6 +74,15 @@ def by_quantity(
         if name not in known:
             raise ValueError(f"{refusal} {name}; available: {', '.join(known)}")
     return np.array([next((values[name] for name in own if name in values), default) for own in names])
+
+
+def weights_of(name: str, weights: Weights, quantities: Sequence[Quantity]) -> Array:
+    """The weight of each quantity: by its index, or by its name or else its kind."""
+    if not isinstance(weights, dict):
+        if len(weights) != len(quantities):
+            raise ValueError(f"{name} has {len(weights)} values; the task has {len(quantities)}")
+        return np.array(weights)
+    return by_quantity(weights, quantities, 0.0, f"{name}: nothing is called")
 
 
 def rate_pairs(quantities: Sequence[Quantity]) -> list[tuple[int, int]]:

@@ -7,9 +7,9 @@ from typing import Any, final
 import numpy as np
 
 from simbias.core import Cost, Task
+from simbias.core.quantities import Weights, weights_of
 from simbias.core.ranges import Positive
 from simbias.core.records import Array, Indices
-from simbias.cost.weights import Weights, weights_of
 
 LEAST = 1e-9  # width, in any unit
 

@@ -7,9 +7,9 @@ from typing import Any, final
 import numpy as np
 
 from simbias.core import Cost, GoalWeights, Task
+from simbias.core.quantities import Weights, weights_of
 from simbias.core.ranges import Positive
 from simbias.core.records import Array, Indices
-from simbias.cost.weights import Weights, weights_of
 
 LARGEST = 1e100  # of a sum: within a frame, a simulated state may grow until its square overflows
 
