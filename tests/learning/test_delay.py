@@ -15,7 +15,7 @@ from interpreted import assert_alike, interpreted
 import simbias
 from simbias.core import FittedBias, Kernel, Nominal
 from simbias.core.records import Array, Rollout
-from simbias.learning.bias.sensitivity import sensitivities
+from simbias.learning.bias.window_gp import sensitivities
 from simbias.simulation.closed_loop import simulator
 from simbias.simulation.compiled import CompiledSimulator
 from simbias.simulation.linearization import advanced

@@ -10,8 +10,14 @@ from models import driven
 from simbias.core import Nominal
 from simbias.core.records import Array, Rollout, Transitions
 from simbias.learning.bias.posterior import GPSample
-from simbias.learning.bias.sensitivity import BATCH, sensitivities
-from simbias.learning.bias.window_gp import WindowGP, WindowPosterior, features, root
+from simbias.learning.bias.window_gp import (
+    BATCH,
+    WindowGP,
+    WindowPosterior,
+    features,
+    root,
+    sensitivities,
+)
 from simbias.learning.covariance import Hyperparameters
 from simbias.simulation.open_loop import PredictionModel, Windows, predict
 

@@ -14,17 +14,17 @@ from simbias.core.ranges import Count, NonNegative, Positive, Seconds
 from simbias.core.records import Array, Indices, Rollout, Transitions
 from simbias.learning.bias.inducing import Inducing, choose
 from simbias.learning.bias.none import ZeroBias
-from simbias.learning.bias.posterior import GPPosterior, GPSample
-from simbias.learning.bias.sensitivity import sensitivities
-from simbias.learning.bias.trend import Trend
+from simbias.learning.bias.posterior import GPPosterior, GPSample, Trend
 from simbias.learning.covariance import Hyperparameters, stable_cholesky
 from simbias.learning.noise import robust_deviation
 from simbias.learning.prediction_errors import ErrorDistribution, correlation_time
-from simbias.simulation.open_loop import PredictionModel, Windows, predict
+from simbias.simulation.open_loop import PredictionModel, Windows, model_states, predict
 
 LEAST_SIGNAL = 1e-12  # in a state's unit; it would be zero for a state that the model predicts exactly
 JITTER = 1e-6  # of the inducing points' covariance, relative to the signal's variance
 CANDIDATES = 2000  # inputs among which inducing points are chosen
+STEP = 1e-5  # of a state, for finite differences
+BATCH = 64  # windows differentiated at once, to bound memory
 
 
 class WindowGP(Bias):
@@ -247,3 +247,48 @@ def features(hyper: Hyperparameters, Z: Array) -> Callable[[Array], Array]:
     """Features (k, R) of inputs (k, n+m); independent unit normal weights give the GP's prior at Z."""
     U = root(hyper, Z)
     return lambda inputs: hyper.covariance(hyper.scale(inputs), Z) @ U.T
+
+
+def sensitivities(nominal: Nominal, windows: Windows, features: Callable[[Array], Array]) -> Array:
+    """Derivatives (w, J, n, n R) of chunk means with respect to the weights of R features of each state.
+
+    They are taken along the nominal model's predictions; features (k, R) are of inputs (k, n+m).
+    """
+    starts, model_state = windows.starts, model_states(nominal, windows)
+    batches = [slice(first, first + BATCH) for first in range(0, len(starts), BATCH)]
+    return np.concatenate(
+        [_derivatives(nominal, windows, features, starts[some], model_state[some]) for some in batches]
+    )
+
+
+def _derivatives(
+    nominal: Nominal,
+    windows: Windows,
+    features: Callable[[Array], Array],
+    starts: Indices,
+    model_state: Array,
+) -> Array:
+    """Derivatives (w, J, n, n R) for the windows that begin at rows `starts` (w,)."""
+    x = windows.states[starts]
+    w, n = x.shape
+    diagonal = np.arange(n)
+    S = total = np.zeros((w, n, n, 0))
+    means = []
+    for t in range(windows.window):
+        u = windows.inputs[starts + t]
+        shifted = x[:, None] + STEP * np.eye(n)
+        advanced, _ = nominal.advance(
+            shifted, np.repeat(u[:, None], n, axis=1), np.repeat(model_state[:, None], n, axis=1)
+        )
+        x_next, model_state = nominal.advance(x, u, model_state)
+        phi = features(np.concatenate([x, nominal.acted(u, model_state)], axis=1))
+        A = (advanced - x_next[:, None]).transpose(0, 2, 1) / STEP
+        if not t:
+            S = total = np.zeros((w, n, n, phi.shape[1]))
+        S = (A @ S.reshape(w, n, -1)).reshape(S.shape)
+        S[:, diagonal, diagonal] += phi[:, None]
+        x, total = x_next, total + S
+        if (t + 1) % windows.chunk == 0:
+            means.append(total / windows.chunk)
+            total = np.zeros_like(S)
+    return np.stack(means, axis=1).reshape(w, len(means), n, -1)
