@@ -13,14 +13,18 @@ overlap. Beyond about a hundred rows it skips this check, and compiles one pass 
 from __future__ import annotations
 
 import inspect
+import math
+import os
 import re
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
-from itertools import accumulate
+from functools import cache, partial
+from itertools import accumulate, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import get_num_threads, njit
 
 from simbias.core import Kernel
 from simbias.core.records import Array
@@ -28,6 +32,7 @@ from simbias.simulation.compiler.compilation import OPTIONS, Compilation
 from simbias.simulation.compiler.kernels import LANES
 from simbias.simulation.compiler.lanes import as_integers
 
+SHORT = 8 * LANES  # passes that take one thread at most 2 s: 5000 frames with an exact Gaussian process
 INTEGERS = ("running", "number", "frame", "ending")  # of each lane; a lane without a pass is not running
 
 TEMPLATE = f"""\
@@ -264,3 +269,38 @@ def _constant(x, u, parameters):
 def constant(values: Array) -> Kernel:
     """The kernel of a model, or of a bias, that returns these values (n,) everywhere."""
     return Kernel(_constant, values)
+
+
+def in_threads(run: partial, count: int) -> None:
+    """Call a compiled loop, run(begin, end, interrupted), for parts of range(count), on all threads.
+
+    An exception in this thread, such as from Ctrl-C, sets `interrupted` (1,), and the loops end. This thread
+    only waits, since Python handles signals between its instructions; the handover takes some 60 us.
+    """
+    interrupted = np.zeros(1, np.int64)
+    threads = max(1, min(get_num_threads(), math.ceil(count / LANES)))  # threads with filled lanes
+    if threads == 1 and count <= SHORT:
+        run(0, count, interrupted)
+        return
+    cuts = [count * part // threads for part in range(threads + 1)]
+    calls: list[Future] = []
+    loop: Any = run.func
+    if not loop.signatures:  # compile here, where a signal is handled
+        run(0, 0, interrupted)
+    try:
+        for begin, end in pairwise(cuts):
+            calls.append(_pool(threads).submit(run, begin, end, interrupted))
+        for call in calls:
+            call.result()
+    finally:
+        interrupted[0] = 1
+        wait(calls)
+
+
+@cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    """Persistent threads: starting them takes as long as a generation of a short search."""
+    return ThreadPoolExecutor(threads, "simbias")
+
+
+os.register_at_fork(after_in_child=_pool.cache_clear)  # threads do not survive a fork
