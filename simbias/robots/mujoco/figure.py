@@ -13,8 +13,15 @@ from simbias.core.files import ConfigFile
 from simbias.core.records import Array
 from simbias.robots.mujoco.mjcf import Mechanism
 from simbias.robots.mujoco.parameters import mujoco
-from simbias.robots.mujoco.rendering import Image, NoRendererError, Rendering
-from simbias.robots.mujoco.view import View, axes_of, solid_geoms, view_of
+from simbias.robots.mujoco.rendering import (
+    Image,
+    NoRendererError,
+    Rendering,
+    View,
+    axes_of,
+    solid_geoms,
+    view_of,
+)
 
 EDGE_ON = 1e-9  # of the longest edge: shorter projections count as along the line of sight
 HALF_TURN = np.linspace(-np.pi / 2, np.pi / 2, 17)  # rad, along half the rim of a disc
