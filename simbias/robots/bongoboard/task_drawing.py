@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from simbias.core.records import Array
 from simbias.robots.bongoboard.bodies import Assembly
 from simbias.robots.bongoboard.task import Bongoboard
-from simbias.robots.drawing.parts import LINE, Disc, draw_parts, move_parts
+from simbias.robots.drawing import LINE, Disc, draw_parts, move_parts
 
 BOARD, WHEEL = "0.55", "0.88"  # greys
 GREYS = {"wheel": WHEEL, "sector": LINE, "board": BOARD}

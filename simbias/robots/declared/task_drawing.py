@@ -12,7 +12,7 @@ from matplotlib.image import AxesImage
 
 from simbias.core.records import Array
 from simbias.robots.declared.task import Declared
-from simbias.robots.drawing.parts import PALE, Disc, draw_parts, move_parts
+from simbias.robots.drawing import PALE, Disc, draw_parts, move_parts
 
 IMAGE = "rendered"  # its artist's name
 

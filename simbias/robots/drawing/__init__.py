@@ -1,1 +1,0 @@
-"""Shapes for drawings of robots."""
