@@ -12,8 +12,8 @@ from threadpoolctl import threadpool_limits
 
 import simbias
 from simbias.core.cache import cache_folder
+from simbias.testing.studies import warm_up
 from simbias.trial.study import Study
-from simbias.trial.warm_up import warm_up
 
 ROOT = Path(__file__).resolve().parent.parent
 OWN_CONF = ROOT / "notebooks" / "examples" / "conf"

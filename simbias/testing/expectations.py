@@ -14,6 +14,7 @@ from simbias.trial.study import Study
 
 POINTS = 12  # states and inputs at which methods are tested
 DATA = 20  # transitions to which a bias is fitted
+SECONDS = 0.2  # of a rollout to learn from
 WRITES = re.compile("(?<!source array) is read-only|modify read-?only")  # by NumPy, Numba; Cython only reads
 
 

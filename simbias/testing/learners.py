@@ -11,6 +11,7 @@ from simbias.core.records import Array, Indices, Transitions
 from simbias.core.task_checks import drawn_starts, varied_states
 from simbias.testing.expectations import (
     POINTS,
+    SECONDS,
     check,
     equal,
     expect,
@@ -24,7 +25,6 @@ from simbias.testing.expectations import (
     transitions,
 )
 from simbias.trial.study import Study
-from simbias.trial.warm_up import SECONDS
 
 FAR = 10.0  # from drawn starts: largest change of a state for which a cost is tested
 OFF = 1e-3  # of the state: error of a model with known residuals

@@ -7,8 +7,8 @@ from threadpoolctl import threadpool_limits
 from simbias.core.error_origin import is_own, with_origin
 from simbias.core.errors import ConfigError
 from simbias.testing.conformance import CHECKS, verdicts
+from simbias.testing.studies import warm_up
 from simbias.trial.study import Study
-from simbias.trial.warm_up import warm_up
 
 LEAST_SECONDS = 0.01  # of an experiment: in less time nothing can fail, and every policy would succeed
 GROUPS = ("task", "nominal", "policy")  # groups whose checks take at most a second

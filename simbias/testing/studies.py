@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from simbias.core import Nominal
-from simbias.core.records import Rollout
-from simbias.testing.expectations import check, equal, expect, inputs, robot_states, rollout
+from simbias.core import Nominal, StudyWarning
+from simbias.core.records import Array, Rollout, Transitions
+from simbias.testing.expectations import SECONDS, check, equal, expect, inputs, robot_states, rollout
 from simbias.trial.study import Study
-from simbias.trial.warm_up import SECONDS, warm_up
 
 
 def _fitted(study: Study, rollouts: Sequence[Rollout]) -> Nominal:
@@ -52,8 +53,27 @@ def _fits_motion_and_rest(study: Study) -> None:
 
 
 @check("identification", "a trial's warm-up: a rollout is simulated, learned from, and a policy evaluated")
-def _warms_up(study: Study) -> None:
-    warm_up(study)
+def warm_up(study: Study) -> None:
+    """Compile the functions that simulated rollouts and searches need."""
+    study = replace(study, bias=study.checked_bias)
+    theta, rng = np.clip(0.0, *study.policy.bounds), np.random.default_rng(0)
+    n, m = len(study.task.without_targets.states), len(study.task.inputs)
+    some_data = Transitions(rng.standard_normal((2, n + m)), rng.standard_normal((2, n)))
+    _compile(study, study.no_data, theta, rng)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", StudyWarning)  # already given
+        _compile(study, some_data, theta, rng)  # a fitted bias may have another kernel
+
+
+def _compile(study: Study, data: Transitions, theta: Array, rng: np.random.Generator) -> None:
+    """Compile the functions needed with the bias learned from some data."""
+    fitted_bias = study.bias.fit(data)
+    simulated = study.simulate(theta, fitted_bias)
+    if len(data):
+        frames = min(study.task.frames(SECONDS), simulated.frames)
+        moved = study.of_robot([simulated.part(0, frames)])
+        study.bias.learn(data, moved, study.identified(moved))
+    study.evaluation.objective(study.model(fitted_bias), study.cost, rng)(theta)
 
 
 @check("cost", "the cost of a longer horizon, where the evaluation simulates one (evaluation.seconds)")

@@ -21,9 +21,9 @@ from joblib import Parallel, delayed
 import simbias
 from simbias.core.proportions import counted_share
 from simbias.core.records import Array
+from simbias.testing.studies import warm_up
 from simbias.trial.policy_test import PolicyTest, run_policy_test
 from simbias.trial.study import Study
-from simbias.trial.warm_up import warm_up
 
 SEEDS = range(10)
 STARTS = 20

@@ -25,8 +25,8 @@ from simbias.learning.identification.delay import Delay
 from simbias.simulation.compiler import LANES, compile_closed_loop
 from simbias.sweep.worker import PlannedTrial, run_plan
 from simbias.terminal.study_warnings import warnings_in_one_line
+from simbias.testing.studies import warm_up
 from simbias.trial.study import Study
-from simbias.trial.warm_up import warm_up
 
 SCALE = np.array([0.2, 0.2, 0.2, 1.0, 1.0, 1.0, 30.0])  # of plausible states and torques
 

@@ -22,8 +22,8 @@ from simbias.core.parameters import Parameter
 from simbias.core.records import Array, Rollout, Selection, Transitions
 from simbias.testing.conformance import verdicts
 from simbias.testing.expectations import ConformanceError, expect_arguments_left, rollout
+from simbias.testing.studies import warm_up
 from simbias.trial.study import Study
-from simbias.trial.warm_up import warm_up
 
 pytestmark = pytest.mark.usefixtures("uncompiled")
 
