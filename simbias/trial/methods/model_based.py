@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
-from simbias.core import Model, Task
+from simbias.core import Task
 from simbias.core.errors import ConfigError
 from simbias.core.files import ConfigFile
 from simbias.core.ranges import Count, CountOrZero, NonNegative, Positive, Share
-from simbias.core.records import Array, Iteration, Learning, Rollout, Search
+from simbias.core.records import Array, Iteration, Learning, Rollout
 from simbias.search.optimizer.trajectory_candidates import follower
 from simbias.trial.claim import Confidence, check_passes, passes_for
 from simbias.trial.disk import read_json
@@ -142,7 +142,17 @@ class ModelBased(Method):
         for index in range(self.max_iterations):
             clock = Stopwatch()
             with clock("search"):
-                found = self._search(study, model, search_rng, observer, last, refuted)
+                found = search(
+                    *(study, model, search_rng, observer),
+                    lqr_candidates=self.lqr_candidates,
+                    retries=self.retry_search,
+                    target_cost=self.target_cost,
+                    posterior_scale=self.posterior_scale,
+                    last=last,
+                    trajectories=self.trajectories,
+                    refuted=refuted,
+                    patient=self.patient_plans,
+                )
             theta, simulation = found.optimum.parameters, model
             last = [theta] if self.from_last else []
             refuted = [*refuted, theta]
@@ -169,31 +179,6 @@ class ModelBased(Method):
             yield iteration_record(study, index, theta, rollouts, made, clock, simulation, found, learning)
             if succeeded:
                 return
-
-    def _search(
-        self,
-        study: Study,
-        model: Model,
-        rng: np.random.Generator,
-        observer: Observer,
-        last: Iterable[Array],
-        refuted: Sequence[Array],
-    ) -> Search:
-        """The search on a model, with the method's options."""
-        return search(
-            study,
-            model,
-            rng,
-            observer,
-            lqr_candidates=self.lqr_candidates,
-            retries=self.retry_search,
-            target_cost=self.target_cost,
-            posterior_scale=self.posterior_scale,
-            last=last,
-            trajectories=self.trajectories,
-            refuted=refuted,
-            patient=self.patient_plans,
-        )
 
     def _known(self, study: Study) -> Iterator[Array]:
         """The first policy's parameters (p,), if given; read when a search needs them, not in a replay."""
