@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from models import with_values
 
 from simbias.core.records import Array
-from simbias.robots.bongoboard.model import LagrangianBongoboard
-from simbias.robots.bongoboard.uncertainty import MECHANICAL, Uncertainty
+from simbias.robots.bongoboard.model import MECHANICAL, LagrangianBongoboard, Uncertainty
 from simbias.trial.study import Study
 
 NO_TORQUE = np.zeros(1)

@@ -7,9 +7,8 @@ from models import with_values
 
 from simbias.core.records import Array
 from simbias.robots.bongoboard.gaps import Gaps
-from simbias.robots.bongoboard.model import LagrangianBongoboard
+from simbias.robots.bongoboard.model import LagrangianBongoboard, Uncertainty
 from simbias.robots.bongoboard.pymunk import PymunkBongoboard
-from simbias.robots.bongoboard.uncertainty import Uncertainty
 
 DURATION = 0.15  # s
 PAYLOAD = {"payload_mass": 5.0, "payload_x": 0.1, "payload_y": 0.2}
