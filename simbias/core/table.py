@@ -41,10 +41,7 @@ class Table:
     def numbers(self, columns: Sequence[int], may_be_blank: Collection[int] = ()) -> Array:
         """The numbers (r, k) in some columns; blank cells, allowed in some columns of the last row, are 0.
 
-        Raises
-        ------
-        HardwareError
-            If a cell is not a finite number; the message gives its row and column.
+        HardwareError, with row and column, if a cell is not a finite number.
         """
         given = [cells[column] for cells in self.cells for column in columns]
         with_comma, with_point = (sum(mark in cell for cell in given) for mark in ",.")
@@ -76,10 +73,7 @@ def read_table(path: Path, may_lack: str = "", may_be_cut: bool = False, whole_l
     the log `may_be_cut` off, a last row is left out if it is unterminated and lacks cells; with
     `whole_lines`, any unterminated last row, as its last cell may be cut.
 
-    Raises
-    ------
-    HardwareError
-        If it cannot be read, is too large, or a row's number of cells differs from the header's.
+    HardwareError if it cannot be read, is too large, or a row's number of cells differs from the header's.
     """
     try:
         with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:

@@ -29,17 +29,10 @@ QUIET: dict[str, float] = {}
 class Noise:
     """Zero-mean Gaussian noise on a task's inputs and on the states that its policy sees (Table II).
 
-    The task's pushes are added to the noise on the inputs. Targets have no noise: they are known.
+    Variances are `<name>_variance` of a quantity, or `<kind>_variance` of all other quantities of a kind. The
+    task's pushes are added to the noise on the inputs. Targets have no noise: they are known.
 
-    Parameters
-    ----------
-    variances
-        `<name>_variance` of a quantity, or `<kind>_variance` of all other quantities of a kind.
-
-    Raises
-    ------
-    ValueError
-        If the task has neither a quantity nor a kind of that name.
+    ValueError if the task has neither a quantity nor a kind of that name.
     """
 
     def __init__(self, task: Task, variances: Variances) -> None:

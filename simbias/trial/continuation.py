@@ -31,11 +31,8 @@ def continue_trial(study: Study, folder: Path, source: Path, read: Callable[[Pat
     Withdrawn experiments and the test of the last policy are not copied. A trial that was begun in this way
     stays as it is, whatever has become of the source; `read` is called to read the source if it was not.
 
-    Raises
-    ------
-    ConfigError
-        If the earlier trial cannot be read, has not ended or has succeeded; if the trials differ in more than
-        their limits; if no experiment is left to spend; or if the folder has a trial that began otherwise.
+    ConfigError if the earlier trial cannot be read, has not ended or has succeeded; if the trials differ in
+    more than their limits; if no experiment is left to spend; or if the folder's trial began otherwise.
     """
     if (folder / TRIAL).exists():
         if TrialFolder(folder).continues is None:

@@ -73,11 +73,8 @@ class FolderRecord(Record):
     def opened(self) -> Iterator[None]:
         """Lock the folder for this process, and write into it, unless the trial has ended.
 
-        Raises
-        ------
-        ConfigError
-            If the folder cannot be written, belongs to another trial, or holds steps or an outcome without a
-            readable trial.json; or if another process runs this trial.
+        ConfigError if the folder cannot be written, belongs to another trial, or holds steps or an outcome
+        without a readable trial.json; or if another process runs this trial.
         """
         with nullcontext() if self.folder.ended else self.folder.held():
             if not self.folder.ended:  # another process may have ended it meanwhile
@@ -244,10 +241,7 @@ class FolderRecord(Record):
     def summary(self, replayed: TrialSummary) -> TrialSummary | None:
         """How the trial ended or stopped, according to its folder.
 
-        Raises
-        ------
-        ConfigError
-            If it cannot be read, or its counts differ from those of the replayed steps.
+        ConfigError if it cannot be read, or its counts differ from those of the replayed steps.
         """
         summary = self.folder.summary()
         if summary is not None and summary.outcome.final:
@@ -267,15 +261,10 @@ class FolderRecord(Record):
             raise changed(left[0])
 
     def _replayed(self, *kinds: str) -> Path | None:
-        """The next step, if there is one.
+        """The next step, if there is one; EndOfRecord if there is none, and the trial is only being read.
 
-        Raises
-        ------
-        ConfigError
-            If it is of another kind, since the trial's code has changed; or if there is none although the
-            trial has ended, since somebody has removed it.
-        EndOfRecord
-            If there is none, and the trial is only being read.
+        ConfigError if it is of another kind, since the trial's code has changed; or if there is none although
+        the trial has ended, since somebody has removed it.
         """
         step = next(self._steps.left, None)
         if step is None and not self._steps.writes:

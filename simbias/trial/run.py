@@ -91,14 +91,9 @@ def run_trial(study: Study, folder: Path | None = None, observer: Observer | Non
     platform. Errors of components are reported in the record. Without a folder, nothing is kept. Linear
     algebra runs on one thread, as more would change the last bits of a factorisation.
 
-    Raises
-    ------
-    ConfigError
-        If the method cannot work with a component; if the folder cannot be written, belongs to another trial,
-        lacks a readable trial.json or changes meanwhile; if a finished trial cannot be replayed; or if
-        another process runs this trial.
-    KeyboardInterrupt
-        When interrupted; completed steps are kept.
+    ConfigError if the method cannot work with a component; if the folder cannot be written, belongs to
+    another trial, lacks a readable trial.json or changes meanwhile; if a finished trial cannot be replayed;
+    or if another process runs this trial. KeyboardInterrupt when interrupted; completed steps are kept.
     """
     study.check()
     kept = None if folder is None else FolderRecord(folder, study)
@@ -131,11 +126,8 @@ def run_trial(study: Study, folder: Path | None = None, observer: Observer | Non
 def read_trial(study: Study, folder: Path) -> TrialRecord:
     """Read back a trial, even a running one, by replaying its folder.
 
-    Raises
-    ------
-    ConfigError
-        If a step cannot be read or does not fit the study, or the outcome's counts of experiments or
-        iterations are wrong.
+    ConfigError if a step cannot be read or does not fit the study, or the outcome's counts of experiments or
+    iterations are wrong.
     """
     kept = FolderRecord(folder, study)
     run = _Run(study, kept, Observer())

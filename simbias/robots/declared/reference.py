@@ -33,10 +33,7 @@ class Reference:
 
     Expressions may use targets, whose means are given by name.
 
-    Raises
-    ------
-    ValueError
-        If a file or an expression gives no finite number at a time from 0 to `seconds`.
+    ValueError if a file or an expression gives no finite number at a time from 0 to `seconds`.
     """
 
     def __init__(

@@ -31,16 +31,8 @@ class State:
 class Starts:
     """A distribution of starts: drawn means, and normal deviations from them.
 
-    Parameters
-    ----------
-    states
-        By their keys in the config, such as `states.angle`.
-
-    Raises
-    ------
-    ValueError
-        If a state declares more than one mean, or one that `starts` replace, or a start lacks a number for
-        some state.
+    States are given by their keys in the config, such as `states.angle`. ValueError if one declares more than
+    one mean, or one that `starts` replace, or if a start lacks a number for some state.
     """
 
     def __init__(self, states: Mapping[str, State], starts: Sequence[Sequence[float]] | None) -> None:

@@ -379,11 +379,5 @@ class Declared(Task):
         return self._figure.image(self._of_robot(x)) if self._figure else None
 
     def expressions(self, expressions: Mapping[str, str]) -> Expressions:
-        """Expressions of the states and the other names defined here.
-
-        Raises
-        ------
-        ValueError
-            If one is not allowed; the message names it in one line.
-        """
+        """Expressions of the states and the other names defined here; ValueError if one is not allowed."""
         return Expressions(expressions, **self._known)

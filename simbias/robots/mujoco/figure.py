@@ -41,12 +41,8 @@ class FigureFile:
 class Figure:
     """A stick figure: spheres are discs, capsules and cylinders are bars (discs end-on), boxes are outlines.
 
-    Other geoms are left out. If there are any, MuJoCo renders the robot if possible.
-
-    Raises
-    ------
-    ValueError
-        If the file cannot be read or does not fit the task.
+    Other geoms are left out. If there are any, MuJoCo renders the robot if possible. ValueError if the file
+    cannot be read or does not fit the task.
     """
 
     def __init__(self, task: Task, source: FigureFile) -> None:

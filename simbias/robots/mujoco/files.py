@@ -31,20 +31,11 @@ NAMING = (
 def read_model(file: str, actuators: Sequence[str] = ()) -> Any:
     """The compiled model of a file.
 
-    An unnamed actuator gets the name of its joint or site; an unnamed joint gets that of its body.
+    The file is MJCF or URDF, relative to the folder where simbias is started; or `package:path` for a file
+    installed with a package. An unnamed actuator gets the name of its joint or site; an unnamed joint gets
+    that of its body. For a name among `actuators` of a joint but no actuator, a motor is added there.
 
-    Parameters
-    ----------
-    file
-        MJCF or URDF, relative to the folder where simbias is started; or `package:path` for a file installed
-        with a package.
-    actuators
-        Names of actuators; for a name of a joint but no actuator, a motor is added there.
-
-    Raises
-    ------
-    ValueError
-        If the file cannot be read; the message names it in one line.
+    ValueError, in one line with the file's name, if it cannot be read.
     """
     path = _path(file)
     if not path.is_file():

@@ -46,10 +46,7 @@ class Mechanism:
         of the states if the names agree. An actuator may be a joint's name, as for a URDF, which has no
         actuators: a motor is added there.
 
-    Raises
-    ------
-    ValueError
-        If MuJoCo is not installed, or the file cannot be read or does not fit the task.
+    ValueError if MuJoCo is not installed, or the file cannot be read or does not fit the task.
     """
 
     def __init__(

@@ -125,13 +125,7 @@ QUANTITIES: Mapping[str, ModelQuantity] = {
 
 
 def values_of(model: Any, pattern: str) -> dict[str, float]:
-    """The parameters whose names match a pattern, such as `pole.mass` or `*.mass`, and their values.
-
-    Raises
-    ------
-    ValueError
-        If there is none.
-    """
+    """The parameters whose names match a pattern, such as `*.mass`, and their values; ValueError if none."""
     found = {
         f"{name}.{kind}": quantity.get(model, name)
         for kind, quantity in QUANTITIES.items()
@@ -173,12 +167,8 @@ def put_values(model: Any, values: Mapping[str, float], data: Any = None) -> Non
 def changes(model: Any, values: Values, factors: Factors) -> dict[str, float]:
     """Values by name of the parameters that are set or multiplied.
 
-    If several values match a name, the last one counts; all matching factors multiply it.
-
-    Raises
-    ------
-    ValueError
-        If no parameter has such a name.
+    If several values match a name, the last one counts; all matching factors multiply it. ValueError if no
+    parameter has such a name.
     """
     changed = {name: value for pattern, value in values.items() for name in values_of(model, pattern)}
     for pattern, factor in factors.items():

@@ -58,13 +58,7 @@ class Rendering:
         return context, drawing, mujoco().MjvScene(self._robot.model, maxgeom=10_000)
 
     def image(self, x: Array) -> Image:
-        """The robot at the state x (n,).
-
-        Raises
-        ------
-        NoRendererError
-            If it cannot be rendered here.
-        """
+        """The robot at the state x (n,); NoRendererError if it cannot be rendered here."""
         context, drawing, scene = self._context
         engine, model, data = mujoco(), self._robot.model, self._data
         data.qpos[:] = self._robot.physics(x[None])[0, 1 : 1 + model.nq]

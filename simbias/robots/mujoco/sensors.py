@@ -29,11 +29,8 @@ class SensorFile:
 class Sensors:
     """Values of sensors and positions of sites at states.
 
-    Raises
-    ------
-    ValueError
-        If the file does not fit the task, has no such sensor or site, or a sensor measures forces or
-        accelerations, which the state alone does not determine.
+    ValueError if the file does not fit the task, has no such sensor or site, or a sensor measures forces or
+    accelerations, which the state alone does not determine.
     """
 
     def __init__(self, task: Task, source: SensorFile) -> None:
@@ -63,13 +60,7 @@ class Sensors:
         self.names = [name if size == 1 else f"{name}[{i}]" for name, size in sizes for i in range(size)]
 
     def __call__(self, x: Array) -> Array:
-        """The values (..., s), in the order of `names`, at states x (..., n).
-
-        Raises
-        ------
-        TypeError
-            If x holds symbols, as when tracing a law.
-        """
+        """Values (..., s), in the order of `names`, at states x (..., n); TypeError if these are symbols."""
         if x.dtype == object:
             raise TypeError("the engine computes sensors and sites")
         rows = x.reshape(-1, x.shape[-1])

@@ -77,14 +77,9 @@ class Run:
         self.unknown: dict[bytes, Array] = {}
 
     def evaluate(self, point: Array) -> float:
-        """The cost of a point (p,), or a guess.
+        """The cost of a point (p,), or a guess; AskedEnough if `size` costs are unknown.
 
-        Raises
-        ------
-        SearchEnded
-            As for `Evaluations.evaluate`; if some costs are unknown, assuming correct guesses.
-        AskedEnough
-            If `size` costs are unknown.
+        SearchEnded as from `Evaluations.evaluate`; if some costs are unknown, assuming correct guesses.
         """
         if (judged := next(self._replayed, None)) is not None:
             return judged

@@ -40,11 +40,8 @@ def trajectory_candidates(
     are default weights. Planning starts when the first policy is requested, which a replayed search does not
     do.
 
-    Raises
-    ------
-    ConfigError
-        If the policy follows no trajectory, all models fail with all inputs tried, or the plan would have
-        to rest at a moving goal.
+    ConfigError if the policy follows no trajectory, all models fail with all inputs tried, or the plan would
+    have to rest at a moving goal.
     """
     if not count:
         return

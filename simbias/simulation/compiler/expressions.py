@@ -48,23 +48,10 @@ ALLOWED = (
 
 
 class Expressions:
-    """Several expressions of the components of one vector x.
+    """Several expressions, by name, of the components of one vector x, whose names are the variables.
 
-    Parameters
-    ----------
-    expressions
-        Their texts by name: the quantities computed from x (..., n), in this order.
-    variables
-        The names of the components of x.
-    constants
-        Names that stand for numbers.
-    where
-        Names that stand for expressions, which may use earlier ones.
-
-    Raises
-    ------
-    ValueError
-        If an expression uses something not allowed; the message names it in one line.
+    Constants are names that stand for numbers; names of `where` stand for expressions, which may use earlier
+    ones. ValueError, in one line, if an expression uses something not allowed.
     """
 
     def __init__(
