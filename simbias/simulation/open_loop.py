@@ -143,9 +143,8 @@ def predict(models: Sequence[PredictionModel], windows: Windows, bias: FittedBia
     n, points = windows.states.shape[1], partial(points_among, windows.states, windows.inputs)
     kernels = [of_nominal(model.nominal, points).kernel for model in models]
     correct = constant(np.zeros(n)) if bias is None else of_bias(bias, points).kernel
-    if correct is None or any(each is None or each.function is not kernels[0].function for each in kernels):
-        return plain(models, windows, bias)
-    if _remembers_states(models[0].nominal, windows):
+    alike = all(each is not None and each.function is kernels[0].function for each in kernels)
+    if correct is None or not alike or _remembers_states(models[0].nominal, windows):
         return plain(models, windows, bias)
     steps = Kernel(kernels[0].function, np.array([kernel.parameters for kernel in kernels]))
     offsets = np.array([np.zeros(n) if model.offset is None else model.offset for model in models])

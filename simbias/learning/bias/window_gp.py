@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import final
 
 import numpy as np
@@ -178,54 +178,51 @@ def _product(A: Array) -> Array:
 
 
 @final
+@dataclass(eq=False)
 class WindowPosterior(FittedBias):
     """A bias k(x, Z) K_ZZ^-1/2 W with normal weights W."""
 
-    def __init__(
-        self,
-        hyper: Hyperparameters,
-        Z: Array,
-        mean: Array,
-        covariance: Array,
-        signal: Array,
-        diagnostics: dict[str, float],
-    ) -> None:
-        self._hyper, self._Z, self._signal = hyper, Z, signal
-        self._mean, self._covariance = mean, covariance  # (n R,), (n R, n R)
-        self._root = root(hyper, Z)
-        self._function = self._weighted() if hyper.d else self._of(mean)
+    hyper: Hyperparameters
+    Z: Array  # (R, n+m), scaled
+    mean: Array  # (n R,) of the weights
+    covariance: Array  # (n R, n R)
+    signal: Array  # (n,)
+    diagnostics: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._root = root(self.hyper, self.Z)
+        self._function = self._weighted() if self.hyper.d else self._of(self.mean)
         self.kernel = self._function.kernel
-        self.diagnostics = diagnostics
 
     def _of(self, weights: Array) -> GPSample:
         """The bias with feature weights (n R,)."""
-        return GPSample(self._hyper, self._Z, self._at_points(weights))
+        return GPSample(self.hyper, self.Z, self._at_points(weights))
 
     def _at_points(self, weights: Array) -> Array:
         """Weights (R, n) of the covariances with the inducing points, from feature weights (n R,)."""
-        return self._root.T @ weights.reshape(len(self._signal), -1).T
+        return self._root.T @ weights.reshape(len(self.signal), -1).T
 
     def _blocks(self) -> list[Array]:
         """Covariances (R, R) of the weights of each state's features."""
-        R = len(self._Z)
-        return [self._covariance[i : i + R, i : i + R] for i in range(0, len(self._mean), R)]
+        R = len(self.Z)
+        return [self.covariance[i : i + R, i : i + R] for i in range(0, len(self.mean), R)]
 
     def _weighted(self) -> GPPosterior:
         """The mean with its weight in Eq. 7: |sigma_t|^2 sums variances relative to those of the prior."""
-        shares = [block / s**2 for block, s in zip(self._blocks(), self._signal, strict=True)]
-        values, vectors = np.linalg.eigh(np.eye(len(self._Z)) - np.mean(shares, axis=0))
+        shares = [block / s**2 for block, s in zip(self._blocks(), self.signal, strict=True)]
+        values, vectors = np.linalg.eigh(np.eye(len(self.Z)) - np.mean(shares, axis=0))
         A = np.sqrt(np.maximum(values, 0.0))[:, None] * (vectors.T @ self._root)
         U = np.flip(np.linalg.qr(np.flip(A, axis=1))[1])  # lower, with U^T U = A^T A
-        W = self._at_points(self._mean)
+        W = self._at_points(self.mean)
         none = np.empty((0, len(W)))  # no draws are made from it
-        return GPPosterior(self._hyper, self._signal, self._Z, U, W, none, none, Trend.none(*W.shape))
+        return GPPosterior(self.hyper, self.signal, self.Z, U, W, none, none, Trend.none(*W.shape))
 
     def predict(self, inputs: Array) -> tuple[Array, Array]:
         """Mean (k, n) and variance (k, n) of the bias at raw inputs (k, n+m)."""
-        phi = features(self._hyper, self._Z)(inputs)
+        phi = features(self.hyper, self.Z)(inputs)
         known = np.stack([np.sum(phi @ block * phi, axis=1) for block in self._blocks()], axis=1)
         unseen = np.maximum(1.0 - np.sum(phi**2, axis=1), 0.0)
-        return self._function.predict(inputs)[0], known + unseen[:, None] * self._signal**2
+        return self._function.predict(inputs)[0], known + unseen[:, None] * self.signal**2
 
     def correction(self, x: Array, u: Array) -> Array:
         """The last term (..., n) of Eq. 7 at x (..., n), u (..., m)."""
@@ -233,8 +230,8 @@ class WindowPosterior(FittedBias):
 
     def draw(self, rng: np.random.Generator) -> FittedBias:
         """A bias drawn from the posterior of the weights."""
-        e = stable_cholesky(self._covariance) @ rng.standard_normal(len(self._mean))
-        return self._of(self._mean + e)
+        e = stable_cholesky(self.covariance) @ rng.standard_normal(len(self.mean))
+        return self._of(self.mean + e)
 
 
 def root(hyper: Hyperparameters, Z: Array) -> Array:
