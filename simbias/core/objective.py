@@ -85,12 +85,7 @@ class Near(_OfAnother):
     """Costs of the points theta + z @ directions (..., p) of a box, by z (d,)."""
 
     def __init__(
-        self,
-        objective: Callable[[Array], float],
-        theta: Array,
-        directions: Array,
-        lower: Array,
-        upper: Array,
+        self, objective: Callable[[Array], float], theta: Array, directions: Array, lower: Array, upper: Array
     ) -> None:
         if directions.shape != (len(directions), len(theta)) or not np.isfinite(directions).all():
             expected = f"expected finite numbers of shape (d, {len(theta)})"

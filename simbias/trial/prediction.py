@@ -47,11 +47,7 @@ class Prediction:
 
 
 def predict(
-    study: Study,
-    theta: Array,
-    start: Array,
-    bias: FittedBias | None = None,
-    nominal: Nominal | None = None,
+    study: Study, theta: Array, start: Array, bias: FittedBias | None = None, nominal: Nominal | None = None
 ) -> Prediction:
     """Simulate an experiment with theta (p,) from a start (n,), with neither noise nor a push.
 

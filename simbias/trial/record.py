@@ -22,14 +22,7 @@ from simbias.core.records import Array, Iteration, Optimum, Rollout
 from simbias.lab.checked_hardware import MakeExperiment, place_of
 from simbias.lab.checks import check_rollout
 from simbias.lab.requests.folder import POLICY, WITHDRAWN
-from simbias.trial.disk import (
-    append_line,
-    loaded,
-    read_json,
-    room_for,
-    write_json,
-    write_whole,
-)
+from simbias.trial.disk import append_line, loaded, read_json, room_for, write_json, write_whole
 from simbias.trial.files import largest, load_rollout, packed_rollout, raw_json
 from simbias.trial.folder import (
     ATTEMPTS,

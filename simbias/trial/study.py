@@ -135,10 +135,7 @@ class Study:
             If the method ends without an iteration, though its budget is not spent.
         """
         study = replace(
-            self,
-            hardware=self.checked_hardware,
-            bias=self.checked_bias,
-            spending=Spending(self.budget),
+            self, hardware=self.checked_hardware, bias=self.checked_bias, spending=Spending(self.budget)
         )
         with suppress(BudgetSpent):
             run = iter(self.method.run(study, np.random.default_rng(self.seed), observer or Observer()))

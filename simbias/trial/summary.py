@@ -41,10 +41,7 @@ class Outcome(StrEnum):
     @property
     def verdict(self) -> str:
         """The outcome as the beginning of a sentence about the trial."""
-        words = {
-            Outcome.NOT_SUCCEEDED: "Did not succeed",
-            Outcome.ERROR: "Stopped by an error",
-        }
+        words = {Outcome.NOT_SUCCEEDED: "Did not succeed", Outcome.ERROR: "Stopped by an error"}
         return words.get(self, self.value.capitalize())
 
     @property

@@ -76,11 +76,7 @@ class Shooting:
     """Plans on a model, as it is or with sliding joints, from the task's mean start to its goal."""
 
     def __init__(
-        self,
-        model: Model,
-        weights: GoalWeights | None = None,
-        sliding: bool = False,
-        patient: bool = False,
+        self, model: Model, weights: GoalWeights | None = None, sliding: bool = False, patient: bool = False
     ) -> None:
         task = model.task
         self._patient = patient
