@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from simbias.config.allowed import NOTHING, Own, leaves, own, prefixes
-from simbias.config.hydra_config import composed, errors_in_one_line, parsed, set_value
+from simbias.config.hydra_config import check_overrides, composed, errors_in_one_line, parsed, set_value
 from simbias.config.resources import check_no_primary, resource_folder, state
 from simbias.core.digest import short_digest
 from simbias.core.errors import ConfigError, check_list
@@ -107,7 +107,7 @@ class Variations:
             if not os.path.isdir(config_dir):
                 raise ConfigError("--config-dir", f"no such folder: {config_dir}")
             check_no_primary(Path(config_dir))
-        check_list("overrides", overrides, str, "texts such as 'seed=3'")
+        check_overrides(overrides)
         check_list("allow", allow, str, "modules")
         # A dry run needs no + if a sweep's file lacks the key.
         self.overrides = [re.sub(r"^\+{0,2}(?=sweep\.dry_run=)", "++", each) for each in overrides]

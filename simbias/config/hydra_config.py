@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from simbias.config.copies import copies
 from simbias.config.renamed import unknown
 from simbias.config.resources import forget_sweeps, register_sweep, resource_folder
-from simbias.core.errors import ConfigError, reason
+from simbias.core.errors import ConfigError, check_list, reason
 
 if TYPE_CHECKING:
     from hydra.core.override_parser.types import Override
@@ -96,8 +96,14 @@ def set_value(config: DictConfig, key: str, value: Any) -> None:
         raise _no_such_key(key) from error
 
 
+def check_overrides(overrides: Any) -> None:
+    """Raise ConfigError unless these are a list of texts."""
+    check_list("overrides", overrides, str, "texts such as 'seed=3'")
+
+
 def overridden(overrides: Sequence[str]) -> list[str]:
     """The keys and groups that overrides set or delete; a ConfigError if one cannot be parsed."""
+    check_overrides(overrides)
     with errors_in_one_line(overrides):
         return [each.key_or_group for each in parsed(overrides)]
 

@@ -33,7 +33,7 @@ class Parameter(NamedTuple):
     spread: float
     prior: Prior = "normal"
     of_recording: bool = False  #: whether its value differs between recordings, like an encoder's zero
-    assumed: str = ""  # a value that is not identified, and that its own depends on
+    assumed: str = ""  #: a value that is not identified, and that its own depends on
 
     def at(self, coordinate: Array | float) -> Array:
         """Values (...) at coordinates (...)."""

@@ -20,7 +20,7 @@ class Quantity(NamedTuple):
 
     name: str  #: in configs and tables
     unit: str  #: "" if there is none
-    kind: str = ""  # common to several, so that noise can be declared for all at once: "angle"
+    kind: str = ""  #: common to several, so that noise can be declared for all at once: "angle"
     wraps: bool = False  #: whether it is an angle modulo one turn
 
     @property

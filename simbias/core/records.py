@@ -138,7 +138,7 @@ class Selection:
     frames: int  #: transitions that the rollouts hold
     sampled: int  #: those left after downsampling
     rejected: Mapping[str, int]  #: criterion -> number of sampled transitions that it rejected
-    note: str = ""  # explains to a person why nothing was sampled
+    note: str = ""  #: explains to a person why nothing was sampled
 
 
 @dataclass(frozen=True, eq=False)

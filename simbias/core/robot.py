@@ -39,7 +39,7 @@ class Criterion(NamedTuple):
 
     name: str  #: of the failure, in records
     words: str  #: what happened, for people
-    limit: float  #: of its measure: beyond, the robot has failed
+    limit: float  #: of the measure; beyond it, the robot has failed
     unit: str  #: of the measure
     bounds: Mapping[str, float] = MappingProxyType({})  #: state -> its largest magnitude, whatever the others
 

@@ -162,12 +162,12 @@ class CheckedHardware(Hardware):
                 raise Waiting("the experiment was not confirmed (hardware.confirm=true)")
         self._unconfirmed.clear()
         start, targets = np.split(start, [len(self._task.states)])
-        own = is_own(policy)
+        own, name = is_own(policy), type(policy).__name__
         policy = WithTargets(policy, targets, self._targets) if len(targets) else policy
         if self._bounds is not None:
             policy = SafetyLimitedPolicy(policy, self._task, self._bounds)
         elif own:  # it may break its contract
-            policy = within_limits(policy, self._task)
+            policy = within_limits(policy, self._task, name)
         returned = self._run(policy, theta.copy(), start.copy(), rng)  # the hardware may overwrite its copies
         return beside(replace(self._checked(returned, theta, start), parameters=theta), targets)
 

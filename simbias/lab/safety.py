@@ -223,11 +223,11 @@ def without_limits(policy: Policy) -> Policy:
     return policy.policy if isinstance(policy, SafetyLimitedPolicy) else policy
 
 
-def within_limits(policy: Policy, task: Task) -> Policy:
-    """A copy of a policy whose controller raises an error instead of an input beyond the task's limits."""
+def within_limits(policy: Policy, task: Task, name: str) -> Policy:
+    """A copy of a policy, called `name` in errors, whose controller raises one beyond the task's limits."""
 
     def controller(theta: Array, time_step: float) -> Controller:
-        return _ControllerWithinLimits(policy.controller(theta, time_step), policy, task)
+        return _ControllerWithinLimits(policy.controller(theta, time_step), task, name)
 
     limited = copy(policy)
     limited.controller = controller  # type: ignore[method-assign]
@@ -237,9 +237,8 @@ def within_limits(policy: Policy, task: Task) -> Policy:
 class _ControllerWithinLimits(Controller):
     """A controller that raises instead of returning an input beyond the task's limits."""
 
-    def __init__(self, controller: Controller, policy: Policy, task: Task) -> None:
-        self._controller, self._bounds = controller, task.input_bounds
-        self._name = type(getattr(policy, "policy", policy)).__name__
+    def __init__(self, controller: Controller, task: Task, name: str) -> None:
+        self._controller, self._bounds, self._name = controller, task.input_bounds, name
 
     def __call__(self, x: Array) -> Array:
         """Input u (m,) at the state x (n,) of the next frame; HardwareError if it is beyond the limits."""

@@ -161,7 +161,8 @@ class KalmanFilter(Observer):
         super().__init__(task, nominal, noise)
         self._disturbed, self._n = disturbances, len(task.states)
         try:
-            A, W = self._linear()
+            x, self._holding = self._balance()
+            A, W = self._linear(x)
             self._effects, walk = self._accelerations(W)  # E (n, r): of unknown accelerations in a frame
             self.gain = self._stationary(A, W, walk)  # L (n + r, n)
         except (np.linalg.LinAlgError, ValueError) as error:
@@ -171,10 +172,9 @@ class KalmanFilter(Observer):
         self.size = self._n + nominal.state_size + len(walk)
         self.frames_ahead = self._delay()
 
-    def _linear(self) -> tuple[Array, Array]:
-        """The linear model A (n, n), and the covariance W (n, n) of its process noise in a frame."""
+    def _linear(self, x: Array) -> tuple[Array, Array]:
+        """The linear model A (n, n) at states x (n,), and the covariance W (n, n) of its noise in a frame."""
         limit = input_scale(self._task)
-        x, self._holding = self._balance()
         A, B = linearization(self._nominal.without_dry_friction(), x, self._holding, limit)
         by_inputs = (DISTURBANCE * limit * B) @ (DISTURBANCE * limit * B).T
         return A, by_inputs + ELSEWHERE**2 * np.diag(np.diag(by_inputs)) + EXACT**2 * np.eye(len(A))

@@ -59,8 +59,8 @@ class Fitting:
 
     def by_window(self, everything: Part) -> dict[float, Identified]:
         """The models in shorter and longer windows, by their duration in s."""
-        durations = {factor: factor * self._posterior.window for factor in OTHER_WINDOWS}
-        return {s: self.of(everything, f"with windows of {s:g} s", factor) for factor, s in durations.items()}
+        s = self._posterior.window
+        return {f * s: self.of(everything, f"with windows of {f * s:g} s", f) for f in OTHER_WINDOWS}
 
     def moved_by_shorter_steps(self, identified: Identified, everything: Part) -> Array | None:
         """How far (r, p) shorter integration steps would move modes, in deviations; None if unknown."""

@@ -10,7 +10,7 @@ from simbias.config import compose
 from simbias.config.build import NOT_OF_RECORDINGS, build
 from simbias.config.components import component_class
 from simbias.config.hydra_config import overridden
-from simbias.core.errors import ConfigError, check_list
+from simbias.core.errors import ConfigError
 from simbias.core.messages import words
 from simbias.learning.identification.posterior import Posterior
 from simbias.trial.study import Study
@@ -39,7 +39,6 @@ def study_of(
 
 def _identifying(overrides: Sequence[str], config_dir: Path | str | None, allow: Sequence[str]) -> list[str]:
     """The overrides, with an identification that is a posterior."""
-    check_list("overrides", overrides, str, "texts such as 'seed=3'")
     keys = overridden(overrides)
     if GROUP in keys:
         return [*overrides]

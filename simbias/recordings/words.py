@@ -34,7 +34,7 @@ REMEDY = "measure what you can in other ways (masses by weighing or with another
 WIDER = "Enlarge their priors (nominal.uncertainty; identification.motors and sensors), and identify again"
 ROUNDS = "Raise identification.rounds"
 STILL_MOVES = 0.1  # standard deviations by the last round
-SHORTER = "take a smaller nominal.sub_step or, in an MJCF, timestep, or its integrator RK4"
+SHORTER = 'take a smaller nominal.sub_step; in an MJCF, a smaller timestep or integrator="RK4"'
 TRUST = (
     "Trust is for motions like those recorded. To test it, hold out a faster or stronger one (--held-out)."
 )

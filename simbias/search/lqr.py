@@ -115,7 +115,7 @@ def _regulating(
     integral then finds the steady input; without one, they rest elsewhere.
     """
     try:
-        linear = linearised(model, _held(model, goal, sticking))
+        linear = linearised(model, _place_to_rest(model, goal, sticking))
         if integral_weight:
             linear = _with_integrals(model, linear, integral_weight)
     except (ValueError, np.linalg.LinAlgError):  # a drawn model may not be finite even at rest
@@ -139,7 +139,7 @@ def _regulating(
     return policies
 
 
-def _held(model: Model, goal: Array | None, sticking: bool) -> Array | None:
+def _place_to_rest(model: Model, goal: Array | None, sticking: bool) -> Array | None:
     """The states (n,) to rest at: a goal, or zero if inputs can hold it; None: nearest to zero."""
     zero = np.zeros(len(model.task.states))
     return zero if goal is None and not sticking and held(model.task, model.nominal, zero) else goal
@@ -180,12 +180,12 @@ def _acts(model: Model, states: Array, inputs: Array, added: Array) -> bool:
 
 
 def rest(
-    model: Model, near: Array | None = None, held: bool = False, exactly: bool = False
+    model: Model, near: Array | None = None, any_input: bool = False, exactly: bool = False
 ) -> tuple[Array, Array]:
     """The equilibrium states (n,) and inputs (m,) nearest to zero, or to states (n,) with zero input.
 
-    If `held`, the states are as near as possible, whatever input this takes. Slow drifts are excluded only
-    if `exactly`.
+    If `any_input`, the states are as near as possible, whatever input this takes. Slow drifts are excluded
+    only if `exactly`.
     """
     from scipy.optimize import least_squares  # lazily: few searches begin with LQR
 
@@ -194,7 +194,7 @@ def rest(
     begin = np.zeros(n + len(task.inputs))
     begin[:n] = 0.0 if near is None else near
     pulls = np.ones(len(begin))
-    if held:
+    if any_input:
         pulls[n:] = OF_INPUTS
 
     def residuals(both: Array, scale: float, weight: float) -> Array:
@@ -211,7 +211,7 @@ def rest(
 
 def linearised(model: Model, goal: Array | None = None) -> Linear:
     """The corrected model, linearised by central differences at rest near zero or a goal (n,)."""
-    x, u = rest(model, goal, held=goal is not None, exactly=goal is not None)
+    x, u = rest(model, goal, any_input=goal is not None, exactly=goal is not None)
     n, size, limit = len(x), model.nominal.state_size, input_scale(model.task)
     model_state = model.nominal.model_states(np.tile(x, (MEMORY, 1)), np.tile(u, (MEMORY, 1)))[-1]
     point = np.concatenate([x, model_state, u])

@@ -246,7 +246,7 @@ def _common_seeds(values: Mapping[str, Any], axes: Sequence[Axis]) -> frozenset[
 def _cells(axes: Sequence[Axis], common_seeds: frozenset[str], variations: Variations) -> Iterator[Cell]:
     """Every combination of the axes' points."""
     known: dict[str, tuple[str, ...]] = {}
-    identities: dict[str, str] = {}  #: by the settings that determine seeds
+    identities: dict[str, str] = {}  # by the settings that determine seeds
     for points in itertools.product(*(axis.points for axis in axes)):
         settings: dict[str, Any] = {}
         seeding: dict[str, Any] = {}

@@ -159,7 +159,7 @@ def _add_of_recordings(commands: Any, own: argparse.ArgumentParser) -> None:
     held_out = "held-out recordings, which are predicted but never fitted"
     identify.add_argument("--held-out", nargs="+", default=[], metavar="FILE", help=held_out)
     attach = "then start a trial with the identified model"
-    recover = "only simulate such recordings, and report which parameters they would recover; writes nothing"
+    recover = "only simulate such recordings, write nothing, and report which parameters would be recovered"
     either = identify.add_mutually_exclusive_group()
     either.add_argument("--attach", action="store_true", help=attach)
     either.add_argument("--recover", action="store_true", help=recover)

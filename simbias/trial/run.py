@@ -42,9 +42,9 @@ class TrialRecord:
     iterations: tuple[Iteration, ...]  #: finished iterations
     unfinished: tuple[Rollout, ...] = ()  #: experiments of the unfinished iteration
     policy_test: PolicyTestResult | None = None  #: of the last policy, if requested
-    traceback: str = ""  # empty for a bad key or file, which the reason names
+    traceback: str = ""  #: empty for a bad key or file, which the reason names
     withdrawn: tuple[Withdrawal, ...] = ()  #: experiments that a person withdrew
-    changed_code: str = ""  # the user's modules and files that changed since it began, if read from a folder
+    changed_code: str = ""  #: the user's modules and files that changed since it began, if read from a folder
 
     def __repr__(self) -> str:
         """The trial in a line, e.g. in a notebook."""

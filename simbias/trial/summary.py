@@ -55,7 +55,7 @@ class TrialSummary:
     """A trial in numbers, up to its end or to where it stopped; missing numbers are nan."""
 
     outcome: Outcome
-    reason: str = ""  # for an error, its type and message; else a sentence
+    reason: str = ""  #: for an error, its type and message; else a sentence
     traceback_file: str = ""
     experiments: int = 0  #: on hardware, so far
     iterations: int = 0  #: finished so far
@@ -64,19 +64,19 @@ class TrialSummary:
     ended: float = nan  #: or stopped, s since the epoch; nan if it is running, or was killed
     seconds: float = 0.0  #: wall time of all processes that ran it; of a killed one, that of its iterations
     hardware_seconds: float = 0.0  #: duration of the experiments
-    test_episodes: str = ""  # of the last policy: 1 for each that counts as a success, 0 for each other
-    lasting_episodes: str = ""  # of the last policy: 1 for each that lasts to its own end
-    holding_episodes: str = ""  # of the last policy: 1 for each that lasts as long as an experiment
+    test_episodes: str = ""  #: of the last policy: 1 for each that counts as a success, 0 for each other
+    lasting_episodes: str = ""  #: of the last policy: 1 for each that lasts to its own end
+    holding_episodes: str = ""  #: of the last policy: 1 for each that lasts as long as an experiment
     success_rate: float = nan  #: share of test episodes
     long_success_rate: float = nan  #: share of the long test episodes
     long_seconds: float = nan  #: mean duration of the long test episodes
     uptime: float = nan  #: mean over the test episodes, without long ones if there are others
-    policy: str = ""  # a digest of the last policy's parameters
-    test_words: str = ""  # the test in one sentence
-    claim: str = ""  # by its experiments, about the last policy: holds 90% of starts (80% to 96%)
+    policy: str = ""  #: a digest of the last policy's parameters
+    test_words: str = ""  #: the test in one sentence
+    claim: str = ""  #: by its experiments, about the last policy: holds 90% of starts (80% to 96%)
     claimed_share: float = nan  #: lower bound on the share of starts
     platforms: tuple[str, ...] = ()  #: two if it was resumed elsewhere
-    processor: str = ""  # model of the last platform's processor
+    processor: str = ""  #: model of the last platform's processor
     diagnostics: tuple[str, ...] = ()  #: oddities of the trial
 
     @property

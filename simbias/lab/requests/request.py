@@ -30,9 +30,9 @@ class ExperimentRequest:
 
     task: Task
     policy: Policy
-    theta: Array  # (p,)
-    start: Array  # (n,)
-    token: int = 0  # distinguishes otherwise identical requests
+    theta: Array  #: (p,)
+    start: Array  #: (n,)
+    token: int = 0  #: distinguishes otherwise identical requests
 
     @cached_property
     def name(self) -> str:

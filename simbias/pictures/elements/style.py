@@ -177,7 +177,7 @@ def in_powers(values: Sequence[float], axis: Axis) -> str:
         return ""
     power = int(np.floor(np.log10(largest)))
     axis.set_major_formatter(FuncFormatter(lambda z, _: FuncFormatter.fix_minus(f"{z / 10.0**power:g}")))
-    return "10" + str(power).translate(SUPERSCRIPTS)
+    return with_power(10.0**power)
 
 
 def plain(axes: Axes, grid: Literal["x", "y", "both"] | None = None) -> None:

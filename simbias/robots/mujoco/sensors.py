@@ -13,6 +13,7 @@ from simbias.core.messages import quote
 from simbias.core.records import Array
 from simbias.robots.mujoco.mjcf import Mechanism
 from simbias.robots.mujoco.parameters import mujoco
+from simbias.simulation.compiler import is_traced
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ class Sensors:
 
     def __call__(self, x: Array) -> Array:
         """Values (..., s), in the order of `names`, at states x (..., n); TypeError if these are symbols."""
-        if x.dtype == object:
+        if is_traced(x):
             raise TypeError("the engine computes sensors and sites")
         rows = x.reshape(-1, x.shape[-1])
         values = np.array([self._read(full) for full in self._robot.physics(rows)])

@@ -73,7 +73,7 @@ class Following:
         x, u = plan.states, np.concatenate([plan.inputs, plan.inputs[-1:]])
         final, settled = None, len(x)
         if (goal := goal_at_rest(task, x[-1])) is not None:
-            x_rest, u_rest = rest(self.model, goal, held=True)
+            x_rest, u_rest = rest(self.model, goal, any_input=True)
             x_rest = x[-1] - wrapped(x[-1] - x_rest, task.states)
             final = slopes(np.tile(x_rest, (2, 1)), u_rest[None])
             x, u = np.concatenate([x[:-1], [x_rest]]), np.concatenate([u[:-1], [u_rest]])

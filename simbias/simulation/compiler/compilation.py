@@ -71,7 +71,7 @@ _FUNCTIONS: dict[tuple[Any, ...], Callable] = {}
 
 
 def function_of(text: str, name: str, **names: Any) -> Callable:
-    """The function that a text defines, given these names; the same of both gives the same function.
+    """The function that a text defines, given these names; the same text and names give the same function.
 
     The text must not contain anything from a config: see `simbias.simulation.compiler.expressions`.
     """

@@ -35,7 +35,7 @@ class Trace:
     def __init__(self) -> None:
         self.symbols: list[Symbol] = []
         self.functions: dict[str, Callable] = {}  # that are called, by their names in the text
-        self.kept: list[Any] = []  # what their parameters are addresses of
+        self.kept: list[Any] = []  # objects whose addresses are among their parameters
         self._known: dict[tuple, Symbol] = {}
         self._counted = 0  # number of symbols, except arguments and table entries, which need no compilation
 
@@ -61,7 +61,7 @@ class Trace:
         return self._add("number", value=float(value), counts=False)
 
     def operation(self, name: str, *operands: Symbol, truth: bool = False, text: str | None = None) -> Symbol:
-        """An operation's result; the same one gives the same symbol. `text` is that of a call."""
+        """An operation's result; the same one gives the same symbol. `text` is how a call is written."""
         key = (name, *(operand.index for operand in operands))
         if key not in self._known:
             self._known[key] = self._add(name, operands, value=text, truth=truth)

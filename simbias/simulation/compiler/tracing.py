@@ -37,7 +37,7 @@ class KernelOrReason(NamedTuple):
 
     kernel: Any  # a `PolicyKernel` for a policy; None if there is none
     why_not: str = ""
-    kept: Sequence[Any] = ()  # of what the kernel has addresses
+    kept: Sequence[Any] = ()  # objects whose addresses the kernel holds
 
 
 def parts_of(model: Model) -> tuple[KernelOrReason, KernelOrReason, KernelOrReason, KernelOrReason]:
