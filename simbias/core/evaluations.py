@@ -52,7 +52,7 @@ class SearchBudget:
 
 
 class Evaluations:
-    """The evaluations of one search; the best point ever evaluated is kept here.
+    """The evaluations of one search; the best point that was counted is kept here.
 
     An optimizer's own answer can be worse than the best point that it saw (a population's mean, or the best
     of the last generation). Its own limit may be inexact (NLopt's GN_ORIG_DIRECT exceeds it).

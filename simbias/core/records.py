@@ -34,6 +34,7 @@ class Rollout:
     cost: float = math.nan  #: Z of Eq. 8; nan until a cost has judged the rollout
     measured: Array | None = None  #: (k+1, n) the sensors' readings; None without sensors
     sensed: bool = False  #: whether `states` are these readings, as on a real robot; else the true states
+    noise: Array | None = None  #: (n,) standard deviations of white noise in `states`; None: unknown
     parameters: Array = field(default_factory=lambda: np.empty(0))  #: (p,); set by the study that ran it
     given_start: bool = False  #: whether a method chose the experiment's start; else the task drew it
     source: str | None = None  #: the file it was read from, if a person provided it
@@ -76,8 +77,9 @@ class Rollout:
         if n == self.states.shape[1]:
             return self
         measured = None if self.measured is None else self.measured[:, :n]
+        noise = None if self.noise is None else self.noise[:n]
         earlier = None if self.earlier is None else self.earlier.of_states(n)
-        return replace(self, states=self.states[:, :n], measured=measured, earlier=earlier)
+        return replace(self, states=self.states[:, :n], measured=measured, noise=noise, earlier=earlier)
 
     def with_history(self) -> tuple[Array, Array, int]:
         """States (h+k+1, n), inputs (h+k, m) and h, the earlier frames in them, as many as models remember.

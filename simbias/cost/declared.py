@@ -23,7 +23,10 @@ LARGEST = 1e100  # of a sum, if a simulated state overflows, or an expression is
 
 @final
 class Declared(Cost):
-    """Z = c (T - t_fail) / T + the mean of `running` + the largest `peak`, if positive, + the last `final`.
+    """Z = c (T - t_fail) / T + sum of `running` / T + the largest `peak`, if positive, + the last `final`.
+
+    `final` counts at the horizon only, so a rollout that fails is without it: choose c larger than what the
+    other terms can cost.
 
     Expressions follow `simbias.simulation.compiler.expressions`. They may use states, inputs, the time t in
     s, the error of each goal quantity, such as `angle_error`, and constants. An expression that is not finite

@@ -15,6 +15,7 @@ from simbias.core.records import Array, Indices, Rollout
 from simbias.lab.rates import check_rates, jumps, late_rates, rates_of
 from simbias.lab.signals import Signal, Signals, signals, split_name
 from simbias.lab.units import factor
+from simbias.learning.noise import white_noise
 
 ASKED = ": is it in degrees, or sampled too rarely?"
 OFTEN_WRAPPED = 0.2  # share of samples between which an angle jumps by more than half a turn
@@ -85,14 +86,15 @@ class _Reading:
 
     def recording(self) -> Recording:
         """The pieces, once they have been checked."""
-        bounds = enumerate(self._bounds())
-        pieces, times = zip(*(self._piece(begin, end, i > 0) for i, (begin, end) in bounds), strict=True)
+        frames = [self._frames(begin, end) for begin, end in self._bounds()]
+        noise = np.array([self._noise(i, frames) for i in range(len(self._task.states))])
+        pieces = tuple(self._piece(at, noise, continues=i > 0) for i, at in enumerate(frames))
         measured_rates = {i: position for i, position in self._rates.items() if i in self._found}
         check_rates(str(self._file.path), pieces, self._task, measured_rates)
         late = late_rates(pieces, self._task, measured_rates)
         self._notes += [*self._late(late), *self._beyond_limits(pieces), *self._still(pieces)]
         doubts = [*self._doubts(), *(["velocities lag behind their positions"] if late else [])]
-        return Recording(pieces, times, tuple(self._notes), tuple(doubts))
+        return Recording(pieces, tuple(map(self._measured, frames)), tuple(self._notes), tuple(doubts))
 
     def _signals(self) -> dict[int, Signal]:
         """Signals by index of states, then inputs, in the task's units and s; angles are unwound.
@@ -234,24 +236,48 @@ class _Reading:
         """The interval in s without samples that makes a gap in a signal."""
         return max(GAP * _period(signal), FEWEST_FRAMES * self._task.time_step)
 
-    def _piece(self, begin: float, end: float, continues: bool) -> tuple[Rollout, Array]:
-        """A piece in the task's frames, and the times at which its first state was measured.
+    def _frames(self, begin: float, end: float) -> Array:
+        """The times (k + 1,) of the frames from `begin` up to `end`."""
+        step = self._task.time_step
+        count = int((end - begin) / step + 1e-9) + 1
+        return np.asarray(begin + step * np.arange(count))
+
+    def _piece(self, at: Array, noise: Array, continues: bool) -> Rollout:
+        """A piece in the task's frames, at times (k + 1,), with white noise (n,) in its states.
 
         States are linear between samples. Inputs are held from each sample to the next one.
         """
         task, found, n = self._task, self._found, len(self._task.states)
-        frames = int((end - begin) / task.time_step + 1e-9)
-        at = begin + task.time_step * np.arange(frames + 1)
         columns = {i: np.interp(at, found[i].times, found[i].values) for i in range(n) if i in found}
         for i, position in self._rates.items():
             if i not in columns:
                 columns[i] = self._rate(columns[position])
         states = np.array([columns[i] for i in range(n)]).T
         signals_of_inputs = [found[n + i] for i in range(len(task.inputs))]
-        inputs = np.array([_held(each, begin, task.time_step, frames) for each in signals_of_inputs]).T
-        times = found[min(found)].times  # of the first state with a column
-        inside = times[(times >= begin) & (times <= at[-1] + NEAR * task.time_step)] - begin
-        return Rollout(states, inputs, measured=states, sensed=True, continues=continues), inside
+        inputs = np.array([_held(each, at[0], task.time_step, len(at) - 1) for each in signals_of_inputs]).T
+        return Rollout(states, inputs, measured=states, sensed=True, noise=noise, continues=continues)
+
+    def _measured(self, at: Array) -> Array:
+        """The times (j,), after the start, at which the first state with a column was measured in a piece."""
+        times = self._found[min(self._found)].times
+        return times[(times >= at[0]) & (times <= at[-1] + NEAR * self._task.time_step)] - at[0]
+
+    def _noise(self, i: int, pieces: Sequence[Array]) -> float:
+        """The standard deviation of white noise in the i-th state in frames at times (k + 1,) of pieces.
+
+        The noise of samples, at most one in a frame, passes through the same interpolation and, if the state
+        is a rate without a column, the same differentiation.
+        """
+        times, values, _ = self._found[i if i in self._found else self._rates[i]]
+        early, rng = NEAR * self._task.time_step, np.random.default_rng(0)
+        chosen = [np.unique(np.searchsorted(times, at - early)) for at in pieces]
+        of_samples = white_noise([(times[each], values[each]) for each in chosen])
+        white = [rng.standard_normal(len(each)) for each in chosen]
+        made = [np.interp(at, times[each], e) for at, each, e in zip(pieces, chosen, white, strict=True)]
+        if i not in self._found:
+            made = list(map(self._rate, made))
+        passed, sampled = (np.mean(np.concatenate(each) ** 2) for each in (made, white))
+        return of_samples * float(np.sqrt(passed / sampled))
 
     def _rate(self, values: Array) -> Array:
         """The derivative (k,) of values (k,), from polynomials fitted around each frame."""

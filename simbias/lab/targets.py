@@ -43,4 +43,5 @@ def beside(rollout: Rollout, targets: Array) -> Rollout:
         return np.hstack([states, np.tile(targets, (len(states), 1))])
 
     measured = None if rollout.measured is None else with_targets(rollout.measured)
-    return replace(rollout, states=with_targets(rollout.states), measured=measured)
+    noise = None if rollout.noise is None else np.append(rollout.noise, np.zeros(len(targets)))
+    return replace(rollout, states=with_targets(rollout.states), measured=measured, noise=noise)

@@ -47,7 +47,7 @@ class MeasurementNoise:
     def of(errors: Array, weights: Array, linearisation: Linearisation, floor: Array) -> MeasurementNoise:
         """The noise that best explains errors (w, d), by expectation maximisation.
 
-        No variance falls below the square of the deviations `floor` (d,).
+        The squares of the deviations `floor` (d,) are added to the variances, which are never smaller.
         """
         F = linearisation.by_start
         d, n = F.shape[1:]

@@ -4,35 +4,47 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import compress
+from math import factorial
 
 import numpy as np
 
 from simbias.core.records import Array, Rollout
 
-LINEAR = 1e-9  # of a state's range: smaller second differences are rounding
-FEWEST = 8  # samples needed to find a state's sampling interval
+ORDERS = range(3, 9)  # of differences
+FEWEST = 20  # differences needed for an order above the lowest
+LINEAR = 1e-9  # of the largest difference: smaller ones are rounding
 DEGREE = 4  # of polynomials, which preserve the amplitude of oscillations
 FEWEST_AROUND = 3  # frames to each side of a smoothed one
 WIDTHS = 12  # candidate numbers of frames
 OUTLIER = 4.0  # deviations of noise
-EVEN = 2.0  # ratio of long to short sampling intervals; an encoder's steps differ more
-MOST_BENT = 0.85  # share of frames at which an interpolated line bends; above, each frame may be a sample
-MOSTLY = 0.9  # of the samples: share that bends the line to one side only
 OFTEN = 0.75  # quantile of an input's changes, over windows: a rare step does not count
 LARGER = 2.0  # ratio of this quantile at a frame of windows to its mean over frames: there the input jumps
 
 
 def noise_of(rollouts: Sequence[Rollout]) -> Array:
-    """Standard deviations (n,) of white noise in recorded states, from third differences of their samples.
+    """Standard deviations (n,) of white noise in recorded states: known from their samples, or estimated."""
+    known = [rollout.noise for rollout in rollouts if rollout.noise is not None]
+    if len(known) == len(rollouts):
+        frames = [len(rollout.states) for rollout in rollouts]
+        return np.sqrt(np.average(np.square(known), axis=0, weights=frames))
+    columns = zip(*(rollout.states.T for rollout in rollouts), strict=True)
+    return np.array([white_noise([(np.arange(float(len(x))), x) for x in states]) for states in columns])
 
-    Zero differences, as from an encoder at rest, do not count.
+
+def white_noise(runs: Sequence[tuple[Array, Array]]) -> float:
+    """The standard deviation of white noise in samples, from their differences of high order.
+
+    Each run has times (k,) and values (k,). The order is the one with the smallest result, as the less motion
+    remains, the smaller it is. Zero differences, as from an encoder at rest, do not count. 0.0 if there are
+    too few samples.
     """
-    thirds = [
-        np.abs(np.concatenate([_thirds(*_samples(values)) for values in states]))
-        for states in zip(*(rollout.states.T for rollout in rollouts), strict=True)
-    ]
-    moving = [each[each > LINEAR * each.max(initial=0.0)] for each in thirds]
-    return np.array([robust_deviation(each) if len(each) else 0.0 for each in moving]) / np.sqrt(20.0)
+    found = list[float]()
+    for order in ORDERS:
+        sizes = np.abs(np.concatenate([_differences(order, times, values) for times, values in runs]))
+        moving = sizes[sizes > LINEAR * sizes.max(initial=0.0)]
+        if len(moving) >= (FEWEST if found else 1):
+            found.append(float(robust_deviation(moving)))
+    return min(found, default=0.0)
 
 
 def robust_deviation(sizes: Array) -> Array:
@@ -90,38 +102,17 @@ def _jump(rollouts: Sequence[Rollout], window: int, near: int) -> bool:
     return bool((sizes[np.arange(-near, near + 1) % window] > LARGER * sizes.mean(axis=0)).any())
 
 
-def _samples(values: Array) -> tuple[Array, Array]:
-    """Times in frames, and values, of a state's samples: all frames (k,), or fewer with lines between."""
-    each = np.arange(float(len(values))), values
-    bends = np.append(np.diff(values, 2), 0.0)  # at each frame except the first
-    bent = np.abs(bends) > LINEAR * np.ptp(values)
-    before = np.flatnonzero(bent)
-    if len(before) < FEWEST or bent.mean() > MOST_BENT:
-        return each
-    # A sample between two frames bends the line at both, so every second frame of a run precedes a sample.
-    runs = before[np.diff(before, prepend=-2) > 1]
-    before = before[(before - runs[np.searchsorted(runs, before, side="right") - 1]) % 2 == 0]
-    first, second = bends[before], np.where(bent[before + 1], bends[before + 1], 0.0)
-    same = first * second >= 0.0  # an encoder's step bends the line to both sides
-    before, share = before[same] + 1, second[same] / (first + second)[same]
-    if len(before) < FEWEST or same.mean() < MOSTLY:
-        return each
-    times, slopes = before + share, values[before] - values[before - 1]
-    least, most = np.quantile(np.diff(times), [0.1, 0.9])
-    return (times, values[before] + share * slopes) if most <= EVEN * least else each
+def _differences(order: int, times: Array, values: Array) -> Array:
+    """Differences of some order of values (k,), divided by their spacing where it is uneven.
 
-
-def _thirds(times: Array, values: Array) -> Array:
-    """Third differences (k - 3,) of values (k,), divided by their spacing where it is uneven.
-
-    The scaling keeps the effect of white noise the same as for even spacing.
+    They are scaled so that white noise does not change its standard deviation.
     """
-    if len(values) <= 3:
+    if len(values) <= order:
         return values[:0]
     spacing = np.median(np.diff(times))
-    for order in (1, 2, 3):
-        values = np.diff(values) * (order * spacing / (times[order:] - times[:-order]))
-    four = np.lib.stride_tricks.sliding_window_view(times, 4)
-    distances = (four[:, :, None] - four[:, None, :]) / spacing + np.eye(4)
-    weights = 6.0 / np.prod(distances, axis=2)
-    return np.asarray(values * np.sqrt(20.0 / np.sum(weights**2, axis=1)))
+    for each in range(1, order + 1):
+        values = np.diff(values) * (each * spacing / (times[each:] - times[:-each]))
+    of_each = np.lib.stride_tricks.sliding_window_view(times, order + 1)
+    distances = (of_each[:, :, None] - of_each[:, None, :]) / spacing + np.eye(order + 1)
+    weights = factorial(order) / np.prod(distances, axis=2)
+    return np.asarray(values / np.sqrt(np.sum(weights**2, axis=1)))

@@ -38,9 +38,10 @@ class ErrorDistribution:
     ) -> ErrorDistribution:
         """Estimate the distribution from errors (w, J, n), some of which may be outliers or not finite.
 
-        The windows' noise is a lower bound on errors. Windows at rest are left out, since their errors are
-        not representative of motion. The fewer the windows, the more the scale matrix is shrunk: towards that
-        of measurement noise if linearised predictions are given, else towards its diagonal.
+        The variance of the windows' noise is added to that of the errors, which is therefore never smaller.
+        Windows at rest are left out, since their errors are not representative of motion. The fewer the
+        windows, the more the scale matrix is shrunk: towards that of measurement noise if linearised
+        predictions are given, else towards its diagonal.
         """
         errors = errors[windows.moving]
         if linearisation is not None:

@@ -306,6 +306,30 @@ def test_estimated_velocities_are_not_damped(frame: float, tmp_path: Path) -> No
     assert found @ true / (true @ true) == pytest.approx(1.0, abs=3e-3)
 
 
+@pytest.mark.parametrize("every", [0.1, 0.83, 1.0, 1.11, 1.25, 1.67, 1.96, 2.5, 5.0])
+def test_noise_in_frames_is_known_from_samples(every: float, tmp_path: Path) -> None:
+    """At any rate and phase, and also that of velocities estimated from positions."""
+    frame, rng, task = 0.01, np.random.default_rng(0), pendulum("task.time_step=0.01").task
+    file, reader = tmp_path / "one.csv", Reader(task, {name: name for name in NAMES})
+    for sizes in ({"pos1": 2e-3, "pos2": 5e-3}, {"pos1": 2e-3, "pos2": 5e-3, "vel1": 0.03, "vel2": 0.1}):
+        jitter = 0.1 * every * rng.uniform(-1, 1, round(3000 / every))
+        t = 0.3 + frame * (every * np.arange(len(jitter)) + jitter)
+        swing = {"pos1": np.sin(2 * t), "pos2": np.cos(t), "vel1": 2 * np.cos(2 * t), "vel2": -np.sin(t)}
+        clock, pieces = {"time": np.append(0.0, t), "tau1": 0.0, "tau2": 0.0}, []
+        for scale in (0.0, 1.0):
+            noisy = {
+                name: swing[name] + scale * size * rng.standard_normal(len(t)) for name, size in sizes.items()
+            }
+            table = pd.DataFrame(clock | {name: np.append(np.nan, values) for name, values in noisy.items()})
+            table.to_csv(file, index=False)
+            pieces += reader.read(file).pieces
+        exact, recorded = pieces
+        actual = np.std(recorded.states - exact.states, axis=0)
+        assert recorded.noise == pytest.approx(actual, rel=0.25)
+        assert exact.noise is not None
+        assert (exact.noise < 0.2 * actual).all()
+
+
 def test_a_late_velocity_is_told(read: Read, table: pd.DataFrame) -> None:
     """By five frames of 2 ms; noise of a tenth alone is not, and a piece of 30 ms tells nothing."""
     rng = np.random.default_rng(0)

@@ -1,5 +1,7 @@
 """Noise of recorded states, which is added to known ones, and states without most of it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,24 +11,35 @@ from pendulum import QUICK, experiment, pendulum
 from simbias.core.parameters import values_at
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.identified import Identified
-from simbias.learning.noise import OUTLIER, noise_of, smoothed
+from simbias.learning.noise import OUTLIER, noise_of, smoothed, white_noise
 from simbias.recordings.study import prepared
 
-RARE = [(1, 0, 0), (2, 0, 0), (2.5, 0, 0), (10 / 3, 0.4, 0), (5, 0, 0), (5, 0.3, 0), (10, 0.5, 1)]
 
-
-@pytest.mark.parametrize(("every", "late", "jitter"), RARE)
-def test_noise_is_that_which_was_added_to_samples(every: float, late: float, jitter: float) -> None:
-    """One state is measured every few frames, perhaps between two; the other in each."""
+@pytest.mark.parametrize("jitter", [0.0, 0.4])
+@pytest.mark.parametrize("every", [1.0, 2.5, 10.0])
+def test_noise_is_that_which_was_added_to_samples(every: float, jitter: float) -> None:
+    """Of two runs, the times of which may be uneven."""
     rng = np.random.default_rng(0)
-    t, samples = np.arange(4000.0), late + every * np.arange(4000.0 // every + 1)
-    speed = 0.08 if every < 4 else 0.004  # of motion, which moves far between samples
-    samples += jitter * rng.uniform(-1, 1, len(samples))
-    rare = np.interp(t, samples, np.sin(speed * samples) + 0.01 * rng.standard_normal(len(samples)))
-    often = 100 * np.cos(0.01 * t) + rng.standard_normal(len(t))
-    states = np.column_stack([rare, often])
-    rtol = 0.2 if every > 1 else 0.1
-    np.testing.assert_allclose(noise_of([Rollout(states, states[:-1])]), [0.01, 1.0], rtol=rtol)
+    t = every * (np.arange(2000.0) + jitter * rng.uniform(-1, 1, 2000))
+    values = np.sin(0.008 * t) + 0.01 * rng.standard_normal(len(t))
+    runs = [(t[part], values[part]) for part in (slice(0, 900), slice(1000, 2000))]
+    assert white_noise(runs) == pytest.approx(0.01, rel=0.1)
+    assert white_noise([(t[:3], values[:3])]) == 0.0
+    fast = np.sin(0.5 * t / every) + 0.01 * rng.standard_normal(
+        len(t)
+    )  # third differences are 2.7 times as large
+    assert white_noise([(t, fast)]) == pytest.approx(0.01, rel=0.1 + jitter)
+
+
+def test_noise_of_rollouts_is_known_or_estimated_in_their_frames() -> None:
+    """Known noise is averaged over frames."""
+    states = np.random.default_rng(0).standard_normal((4000, 2)) * [0.01, 3.0]
+    rollout = Rollout(states, states[:-1])
+    np.testing.assert_allclose(noise_of([rollout]), [0.01, 3.0], rtol=0.1)
+    short = rollout.part(0, 999)
+    known = [replace(each, noise=np.array(noise)) for each, noise in ((rollout, [1.0, 2]), (short, [1, 7]))]
+    np.testing.assert_allclose(noise_of(known), [1.0, (0.8 * 2**2 + 0.2 * 7**2) ** 0.5])
+    assert noise_of([known[1].of_states(1)]) == [1.0]
 
 
 def test_steps_of_an_encoder_are_noise_also_where_it_mostly_rests() -> None:

@@ -13,8 +13,8 @@ class AccelerationResidual(GaussianProcess):
     """Gaussian processes of velocity residuals alone, since unmodelled forces act on velocities.
 
     A position's residual is a constant multiple of its velocity's residual, estimated from the data: half a
-    frame if the acceleration is constant in a frame, one frame for semi-implicit Euler steps. This is one of
-    the representations that Section VII suggests.
+    frame if the acceleration is constant in a frame, one frame for semi-implicit Euler steps. In draws of the
+    posterior, both are drawn independently. This is one of the representations that Section VII suggests.
 
     Raises
     ------

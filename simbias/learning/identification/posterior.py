@@ -73,7 +73,7 @@ class Posterior(Identification):
         Names of the model's parameters that differ between recordings, such as a payload; the others are
         shared.
     noise
-        Measurement noise variances, by the names and kinds of states; a lower bound on prediction errors.
+        Measurement noise variances, by the names and kinds of states; added to those of prediction errors.
         Without it, a model that is exact in flight makes all collisions outliers. With it, or with central
         differences, the posterior is nowhere far wider than the prior: where the data do not inform a
         direction, its deviation is the prior's.
