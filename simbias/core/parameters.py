@@ -1,7 +1,7 @@
 """Physical parameters that are not known exactly, and their independent priors.
 
-Each parameter is a monotonic function of a standard normal variable, its coordinate. Drawing coordinates thus
-draws from the prior, and a posterior that is normal in the coordinates respects every bound.
+Each parameter is an increasing function of a standard normal variable, its coordinate. Drawing coordinates
+thus draws from the prior, and a posterior that is normal in the coordinates respects every bound.
 """
 
 from __future__ import annotations
@@ -41,7 +41,8 @@ class Parameter(NamedTuple):
         if self.prior == "normal":
             return self.value + self.spread * z
         if self.prior == "log_normal":
-            return self.value * np.exp(np.clip(self.spread * z, -LARGEST, LARGEST))
+            exponent = np.copysign(self.spread, self.value) * z  # also a negative value increases
+            return self.value * np.exp(np.clip(exponent, -LARGEST, LARGEST))
         from scipy.special import ndtr, ndtri  # lazily: most trials need none
 
         if self.prior == "half_normal":

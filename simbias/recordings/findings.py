@@ -54,7 +54,7 @@ class Finding:
     @property
     def prior_interval(self) -> tuple[float, float]:
         """5% and 95% quantiles of the prior."""
-        low, high = sorted(self.prior.at(np.array([-QUANTILE, QUANTILE])).tolist())
+        low, high = self.prior.at(np.array([-QUANTILE, QUANTILE])).tolist()
         return low, high
 
 

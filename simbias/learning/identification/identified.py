@@ -60,9 +60,7 @@ class Identified(Nominal):
         self.covariance = spread @ spread.T  # (p, p) of the coordinates
         deviations = QUANTILE * np.sqrt(np.diag(self.covariance))
         self.estimates = tuple(
-            Estimate(
-                p.name, p.unit, p.value, float(p.at(z)), *sorted((float(p.at(z - d)), float(p.at(z + d))))
-            )
+            Estimate(p.name, p.unit, p.value, float(p.at(z)), float(p.at(z - d)), float(p.at(z + d)))
             for p, z, d in zip(prior.parameters, mode, deviations, strict=True)
         )
 
