@@ -83,8 +83,9 @@ def run_trial(
     >>> trial = run_trial(load(["seed=3"]), "trials/mine")
 
     As on the command line, the user's own components are checked first. Steps in the folder are not repeated.
-    Without a folder, nothing is kept. A folder belongs to the study's config: a study that was changed
-    otherwise, such as by `dataclasses.replace`, needs a folder of its own.
+    Without a folder, nothing is kept. A folder keeps the study's config: a study that was changed otherwise,
+    such as by `dataclasses.replace`, needs a folder of its own, and is read back without the change. An error
+    of the hardware ends the trial: the record's `summary` tells it.
 
     Raises
     ------
@@ -93,6 +94,7 @@ def run_trial(
     KeyboardInterrupt
         When interrupted; completed steps are kept.
     """
+    from simbias.core import StudyWarning
     from simbias.core.errors import ConfigError
     from simbias.testing.rehearsal import rehearse
     from simbias.trial import run
@@ -100,6 +102,9 @@ def run_trial(
 
     if not isinstance(study, Study):
         raise ConfigError("study", f"expected one, as simbias.load gives it, got {type(study).__name__}")
+    if folder is not None and not study.as_composed:
+        words = f"{folder} keeps only the config: components replaced in Python are not read back from there"
+        warnings.warn(words, StudyWarning, stacklevel=2)
     rehearse(study)
     return run.run_trial(study, None if folder is None else Path(folder), observer)
 

@@ -138,6 +138,14 @@ def test_what_an_own_component_breaks_is_one_line_before_the_trial(compilable: S
         rehearse(replace(study, nominal=Decides(study.task)))  # type: ignore[arg-type]
 
 
+def test_what_python_replaced_is_not_kept(point_mass: Study, tmp_path: Path) -> None:
+    """A line says so; nor is a seed a generator."""
+    with pytest.warns(simbias.core.StudyWarning, match="keeps only the config: components replaced in Pytho"):
+        simbias.run_trial(replace(point_mass, seed=4), tmp_path / "other")
+    with pytest.raises(ValueError, match=r"^rng: expected numpy\.random\.default_rng\(seed\), got int$"):
+        point_mass.experiment(np.zeros(3), 0)  # type: ignore[arg-type]
+
+
 def test_an_own_policy_cannot_move_a_robot_beyond_its_limits(point_mass: Study) -> None:
     """From Python, a trial is refused as on the command line, and so is a single input; rounding is not."""
     study = replace(point_mass, policy=Unbounded(point_mass.task))
@@ -294,6 +302,11 @@ def test_the_screen_says_what_is_under_way(point_mass: Study) -> None:
         assert "failed" not in after
         cheap = replace(iteration.experiments[0], cost=0.1, failed_at=20, failure="distance")
         observer.iterated(replace(iteration, experiments=(cheap,)))
+        short = replace(cheap, cost=0.1, failed_at=None, failure=None)
+        with pytest.MonkeyPatch.context() as patch:  # as if the task decided
+            patch.setattr(type(point_mass.task), "succeeds", lambda *_: False)
+            observer.iterated(replace(iteration, experiments=(short,)))
+        assert ", missed)" in file.getvalue()
         assert [cost_text(each) for each in (5.952, 0.1, 0.09996, 0.0009878)] == [
             "5.952",
             "0.100",

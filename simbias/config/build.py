@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
@@ -16,7 +17,7 @@ from simbias.config.composition import OF_SWEEPS, Composition
 from simbias.config.conditions import HARDWARE, conditions, split
 from simbias.config.identity import LATER
 from simbias.config.renamed import unknown
-from simbias.core import Criterion, Hardware, Nominal, Push, Quantity, Task
+from simbias.core import Criterion, Hardware, Nominal, Push, Quantity, StudyWarning, Task
 from simbias.core.errors import ConfigError
 from simbias.core.messages import quote, words
 from simbias.core.ranges import Seed
@@ -28,7 +29,7 @@ from simbias.trial.policy_test import PolicyTest
 from simbias.trial.study import Study
 
 NO_COMPONENTS = (
-    *("seed", "conditions", "policy_test", "budget", "spending"),
+    *("seed", "conditions", "policy_test", "budget", "spending", "as_composed"),
     *("composition", "hardware_of", "nominal_of"),
 )
 VALUES = {
@@ -58,6 +59,8 @@ def build(composition: Composition, left_out: Sequence[str] = ()) -> Study:
         if key not in CONTRACTS and key not in (*VALUES, *BESIDE_STUDIES):
             keys = [f"{key}.{each}" for each in config[key]] if isinstance(config[key], Mapping) else []
             problem = f"no such group; available: {', '.join([*CONTRACTS, *BESIDE_STUDIES])}"
+            if key == "preset":
+                problem = "its file must begin with the line '# @package _global_'"
             raise unknown([*keys, key], key, problem)
     for key in (*CONTRACTS, "seed"):
         if key not in config and key not in left_out:
@@ -87,17 +90,21 @@ def build(composition: Composition, left_out: Sequence[str] = ()) -> Study:
         nominal_of=partial(_nominal, config["nominal"], own),
         conditions=conditions(whole, task, timeout),
     )
+    object.__setattr__(study, "as_composed", True)
     _check_known(study, config["identification"].get("known"))
     return study
 
 
 def _check_known(study: Study, known: Any) -> None:
-    """Refuse a posterior of a nominal model other than the study's."""
+    """Refuse a posterior of a nominal model other than the study's; warn of one that is doubted."""
     if isinstance(known, Mapping) and known.get("model") not in (None, model_digest(study)):
         problem = (
             "belongs to a nominal model with other values or files; identify again, or leave out its `model`"
         )
         raise ConfigError("identification.known", problem)
+    if isinstance(known, Mapping) and known.get("doubts") and all(known["doubts"]):
+        words = "the identification begins with a posterior of which no parameter is trusted"
+        warnings.warn(words, StudyWarning, stacklevel=4)
 
 
 def build_task(config: Any, own: Own) -> Task:

@@ -16,6 +16,7 @@ from typing_extensions import TypedDict  # pydantic accepts only this one before
 
 from simbias.config.allowed import NOTHING, TARGET, Own, check_allowed
 from simbias.config.renamed import unknown
+from simbias.core import Task
 from simbias.core.errors import ConfigError, reason
 from simbias.core.files import FOLDERS
 from simbias.core.messages import quote, with_type, words
@@ -42,8 +43,17 @@ def construct(config: Any, contract: type, key: str, own: Own = NOTHING, **provi
         if name in config:
             raise ConfigError(f"{key}.{name}", "is provided by simbias, so it cannot be set")
     arguments = constructor_arguments(component, config, key, frozenset(provided), own.folders)
+    given = {name: value for name, value in provided.items() if name in parameters}
+    hints = _hints(component)
+    for name, value in given.items():
+        if (
+            inspect.isclass(kind := hints.get(name))
+            and issubclass(kind, Task)
+            and not isinstance(value, kind)
+        ):
+            raise ConfigError(key, f"{component.__name__} works with a task of {kind.__name__} only")
     try:
-        return component(**arguments, **{k: v for k, v in provided.items() if k in parameters})
+        return component(**arguments, **given)
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # also SystemExit, and what other libraries raise to end tasks
@@ -53,7 +63,9 @@ def construct(config: Any, contract: type, key: str, own: Own = NOTHING, **provi
 def component_class(config: Any, key: str, allowed: Sequence[str] = ()) -> Any:
     """The class that `_target_` names; a ConfigError if there is none, or its module may not be imported."""
     if not isinstance(config, Mapping) or TARGET not in config:
-        raise ConfigError(key, f"must be a mapping with a {TARGET}, got {quote(config)}")
+        chosen = f"; a file's defaults choose an option: 'override /{key}: {config}'"
+        chosen *= isinstance(config, str)
+        raise ConfigError(key, f"must be a mapping with a {TARGET}, got {quote(config)}{chosen}")
     target = config[TARGET]
     module_name, _, name = str(target).rpartition(".")
     if not module_name:
@@ -108,20 +120,24 @@ def constructor_parameters(component: Any) -> Mapping[str, inspect.Parameter]:
 @cache
 def _schema(component: Any, provided: frozenset[str]) -> TypeAdapter:
     """The schema of a constructor's arguments, except provided ones."""
-    parameters = constructor_parameters(component)
-    generated = dataclasses.is_dataclass(component) and parameters.keys() <= {
-        field.name for field in dataclasses.fields(component)
-    }
-    try:  # inherited fields may name what only another module imports
-        hints = get_type_hints(component if generated else component.__init__, include_extras=True)
-    except NameError:  # perhaps of an attribute that is no parameter
-        hints = get_type_hints(component.__init__, include_extras=True)
+    hints = _hints(component)
     fields = {
         name: (Required if parameter.default is parameter.empty else NotRequired)[hints.get(name, Any)]
-        for name, parameter in parameters.items()
+        for name, parameter in constructor_parameters(component).items()
         if name not in provided
     }
     return _adapter(fields)
+
+
+@cache
+def _hints(component: Any) -> Mapping[str, Any]:
+    """The annotations of a constructor's arguments."""
+    fields = dataclasses.fields(component) if dataclasses.is_dataclass(component) else ()
+    generated = bool(fields) and constructor_parameters(component).keys() <= {field.name for field in fields}
+    try:  # inherited fields may name what only another module imports
+        return get_type_hints(component if generated else component.__init__, include_extras=True)
+    except NameError:  # perhaps of an attribute that is no parameter
+        return get_type_hints(component.__init__, include_extras=True)
 
 
 def _adapter(fields: dict[str, Any]) -> TypeAdapter:
@@ -167,6 +183,8 @@ def _check_numbers(given: Any, converted: Any, key: str) -> None:
     if isinstance(given, bool) and isinstance(converted, float | int) and not isinstance(converted, bool):
         raise ConfigError(key, f"must be a number, got {str(given).lower()}")
     if isinstance(given, Mapping):
+        if isinstance(converted, tuple):  # of items, in order
+            converted = dict(converted)
         parts = converted if isinstance(converted, Mapping) else getattr(converted, "__dict__", {})
         for name in (name for name in given if name in parts):
             _check_numbers(given[name], parts[name], f"{key}.{name}".lstrip("."))

@@ -13,7 +13,7 @@ from hydra.core.plugins import Plugins
 from hydra.plugins.config_source import ConfigResult, ConfigSource
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 
-from simbias.config.copies import copies
+from simbias.config.hydra_config import copies
 from simbias.config.resources import check_ends, resource_folder
 
 SCHEME = "simbias"

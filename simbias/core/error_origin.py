@@ -33,7 +33,7 @@ def with_origin(error: BaseException) -> str:
         place = f"{Path(code.co_filename).name}:{line}"
         if isinstance(component, CONTRACTS) and is_own(component) and component is not blamed:
             blamed, source = component, f"{type(component).__name__}.{code.co_name}"
-    if not source or isinstance(error, core.HardwareError):
+    if not source or isinstance(error, core.HardwareError | ConfigError):
         return words(error) if isinstance(error, ConfigError) else with_type(error)
     return f"{source}: expected a result, got {with_type(error)} ({place})"
 

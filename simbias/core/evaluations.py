@@ -12,6 +12,7 @@ from typing import Self
 
 import numpy as np
 
+from simbias.core.errors import ConfigError
 from simbias.core.objective import as_objective
 from simbias.core.ranges import EvaluationCount, Seconds, Share, Steps
 from simbias.core.records import Array, Optimum
@@ -259,4 +260,4 @@ class Evaluations:
 def _check_finite(point: Array, cost: float) -> None:
     """Refuse a cost that is not finite, as it cannot be ranked."""
     if not math.isfinite(cost):
-        raise ValueError(f"the cost is {cost} at the point {point.tolist()}")
+        raise ConfigError("cost", f"must be finite, got {cost} for the policy {point.tolist()}")

@@ -82,7 +82,10 @@ def weights_of(name: str, weights: Weights, quantities: Sequence[Quantity]) -> A
         if len(weights) != len(quantities):
             raise ValueError(f"{name} has {len(weights)} values; the task has {len(quantities)}")
         return np.array(weights)
-    return by_quantity(weights, quantities, 0.0, f"{name}: nothing is called")
+    try:
+        return by_quantity(weights, quantities, 0.0, f"{name}: nothing is called")
+    except ValueError as error:
+        raise ValueError(f"{error}; ~cost.{name}.NAME leaves out one of the option's own") from error
 
 
 def rate_pairs(quantities: Sequence[Quantity]) -> list[tuple[int, int]]:

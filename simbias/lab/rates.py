@@ -19,6 +19,7 @@ CORRELATED = 0.8  # correlation below which sizes of velocities are not compared
 UNRELATED, CLEAR = 0.3, 4.0  # correlation below which, at any delay, columns are unrelated; change over noise
 LASTING = 0.5  # s, least duration of changes for a verdict
 JUMP = 3.0  # times the largest velocity's motion between two samples: impossible for a robot
+AROUND = 4  # samples to each side, for a rate without a column
 RARELY, FAR = 0.98, 4.0  # a jump exceeds this quantile of samples by this factor
 
 
@@ -64,6 +65,12 @@ def jumps(times: Array, values: Array, rates: Array) -> Indices:
     usual = np.quantile(excess[moved != 0], RARELY) if moved.any() else np.inf  # e.g. an encoder's step
     due = np.maximum(steps, np.median(steps))  # a sample may be late, and the next one on time
     return np.flatnonzero(excess > np.maximum(JUMP * np.abs(rates).max() * due, FAR * usual)) + 1
+
+
+def slopes(times: Array, values: Array) -> Array:
+    """Rates (k,) of values (k,): the median slope around each sample, which a jump does not change."""
+    each = np.pad(np.diff(values) / np.diff(times), AROUND, "edge")
+    return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(each, 2 * AROUND), axis=1))
 
 
 def late_rates(pieces: Sequence[Rollout], task: Task, rates: Mapping[int, int]) -> dict[int, float]:

@@ -70,7 +70,7 @@ class Recorded(Hardware):
         """
         place, files = place_of(rng)[:2], self.files  # a random experiment's place is one level deeper
         if not files:
-            raise ConfigError("", f"no recording ({', '.join(CSV)}) is in {self._folder}")
+            raise ConfigError("hardware.folder", f"no recording ({', '.join(CSV)}) is in {self._folder}")
         try:
             return self.rollout(files[[0, *place][-1] % len(files)])
         except HardwareError as error:  # bad input, not the robot's fault

@@ -12,11 +12,12 @@ from simbias.core import HardwareError, Task
 from simbias.core.messages import quote, words
 from simbias.core.quantities import TURNS, Quantity
 from simbias.core.records import Array, Indices, Rollout
-from simbias.lab.rates import check_rates, jumps, late_rates, rates_of
+from simbias.lab.rates import check_rates, jumps, late_rates, rates_of, slopes
 from simbias.lab.signals import Signal, Signals, signals, split_name
 from simbias.lab.units import factor
 from simbias.learning.noise import white_noise
 
+ESTIMATED = "velocities are estimated"
 ASKED = ": is it in degrees, or sampled too rarely?"
 OFTEN_WRAPPED = 0.2  # share of samples between which an angle jumps by more than half a turn
 MOST_WRAPPED = 1.1  # turns that a wrapped angle goes through, with its noise
@@ -214,18 +215,18 @@ class _Reading:
                 self._notes.append(f"the {which} {seconds:.3g} s lack {names}, and are left out")
 
     def _jumps(self) -> dict[int, Indices]:
-        """Samples of states that their rates do not explain, between gaps; all are reported."""
+        """Samples of states that their rates, or the motion around, do not explain; all are reported."""
         found, each = self._found, dict[int, Indices]()
         for rate, i in self._rates.items():
-            if rate in found:
-                times, values, _ = found[i]
-                told = np.interp(times, found[rate].times, found[rate].values)
-                each[i] = np.setdiff1d(jumps(times, values, told), self._begins(found[i]))
+            times, values, _ = found[i]
+            told = found[rate] if rate in found else Signal(times, slopes(times, values), times)
+            rates = np.interp(times, told.times, told.values)
+            each[i] = np.setdiff1d(jumps(times, values, rates), self._begins(found[i]))
         at = sorted({float(found[i].places[j]) for i, samples in each.items() for j in samples})
         if at:
             names = ", ".join(self._quantities[i].name for i, samples in each.items() if len(samples))
             jump = f"{names}: a jump at {self._file.places(at)}"
-            self._notes.append(f"{jump}, more than velocities imply: are rows lost or doubled?")
+            self._notes.append(f"{jump}, more than velocities imply: is it reset, or are rows lost?")
         return each
 
     def _begins(self, signal: Signal) -> Indices:
@@ -329,7 +330,7 @@ class _Reading:
         """Reasons not to trust parameters identified from these signals; remedies are noted."""
         frame, n = self._task.time_step, len(self._task.states)
         if frame > COARSE and not self._rates.keys() <= self._found.keys():
-            yield f"velocities are estimated in frames of {frame:g} s"
+            yield f"{ESTIMATED} in frames of {frame:g} s"
         period = max(_period(signal) for i, signal in self._found.items() if i < n)
         if period > SPARSE * frame:
             doubt = f"states are measured every {period:.3g} s, in frames of {frame:g} s"

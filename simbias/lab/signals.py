@@ -83,8 +83,9 @@ class Signals(ABC):
 class Columns(Signals):
     """The signals of a CSV file; blank cells, nan or NA are no samples, as with different sampling rates."""
 
-    def __init__(self, path: Path, whole_lines: bool = False) -> None:
+    def __init__(self, path: Path, names: Collection[str], whole_lines: bool = False) -> None:
         super().__init__(path)
+        self._asked = names
         self._table = read_table(path, may_be_cut=True, whole_lines=whole_lines)
         if self._table.cut is not None:
             self.notes = (f"row {self._table.cut}, the last one, may be cut off and is left out",)
@@ -112,7 +113,7 @@ class Columns(Signals):
         """The cells of a column that hold a sample."""
         lacking = [each for each in (time, name) if each not in self._known]
         if lacking:
-            raise self.missing(lacking, list(self._known), "row 1: ")
+            raise self.missing(lacking, [each for each in self._known if each not in self._asked], "row 1: ")
         for each in (time, name):
             if len(self._known[each]) > 1:
                 raise HardwareError(f"{self.path}: row 1: several columns are named {each}")
@@ -239,7 +240,7 @@ def signals(path: Path, names: Collection[str], whole_lines: bool = False) -> Si
             return Messages(path, names)
         except ValueError as error:  # the reader is not installed
             raise HardwareError(f"{path}: {words(error)}") from error
-    return Columns(path, whole_lines)
+    return Columns(path, names, whole_lines)
 
 
 def _misaligned(late: Mapping[str, float], headed: Collection[str]) -> tuple[str, ...]:
@@ -293,7 +294,8 @@ def checked_columns(columns: Mapping[str, str] | None, names: list[str]) -> dict
     """
     unknown = sorted(set(columns or {}) - set(names))
     if unknown:
-        raise ValueError(f"columns names quantities that the task lacks: {', '.join(unknown)}")
+        problem = f"columns names quantities that the task lacks: {', '.join(unknown)}"
+        raise ValueError(f"{problem}; it has {', '.join(names)}")
     found = {name: (columns or {}).get(name, name) for name in names}
     by_column: dict[str, str] = {}
     for name, column in found.items():

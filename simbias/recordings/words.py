@@ -8,6 +8,7 @@ from operator import itemgetter
 
 import numpy as np
 
+from simbias.lab.recording import ESTIMATED
 from simbias.recordings.assessment import Assessment
 from simbias.recordings.excitation import Excitation
 from simbias.recordings.findings import BEYOND_PRIOR, FAR, STEP_DOUBT
@@ -93,6 +94,8 @@ def _lacking(assessment: Assessment) -> str:
         return ""
     times, seconds = found
     cause = ", or its integration steps are too long" if _stepped(assessment) else ""
+    if any(doubt.startswith(ESTIMATED) for doubt in assessment.findings[0].doubts):
+        cause += f", or {ESTIMATED} too roughly"
     return (
         f" Errors after {seconds:g} s are {times:.1f} times what measurement noise and intervals explain: "
         f"the model lacks something{cause}. Its values are those that predict best; they may not be the "
@@ -165,7 +168,7 @@ def error_rows(assessment: Assessment) -> Iterator[Sequence[str]]:
             f"{prediction.seconds:g}",
             str(prediction.windows),
             f"{prediction.ratio():.2f}",
-            "" if np.isnan(coverage) else f"{100 * coverage:.0f}%",
+            "too few" if np.isnan(coverage) else f"{100 * coverage:.0f}%",
             *(f"{after:.3g} of {before:.3g}" for before, after in zip(nominal, identified, strict=True)),
         )
 

@@ -28,6 +28,7 @@ from simbias.trial.folder import TrialFolder
 from simbias.trial.summary import Outcome, TrialSummary
 
 DIGITS = 4  # of times in published results
+OF_POLICY = 8  # digits of the last policy's hash, by which a sweep's policies differ
 COUNTS = ("experiments", "iterations")
 SHOWN = (Outcome.SUCCEEDED, Outcome.NOT_SUCCEEDED, Outcome.ERROR)  # outcomes of trials in tables
 TEXTS = ("test_episodes", "lasting_episodes", "policy")
@@ -87,6 +88,7 @@ def numbers(summary: TrialSummary) -> dict[str, Any]:
         "experiments": summary.experiments_until_success,
         "iterations": summary.iterations_until_success,
         **{name: getattr(summary, name) for name in ("seconds", *LATER)},
+        "policy": summary.policy[:OF_POLICY],
     }
 
 

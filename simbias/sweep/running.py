@@ -38,6 +38,8 @@ NOT_CONCURRENT = (
     "engine=sequential (or, if {0} is a simulation, set its attribute concurrent = True)"
 )
 
+OF_TESTS = ("success_rate", "reliable", "holds", "long_success_rate")  # measures of the last policies' tests
+
 
 def run(
     overrides: Sequence[str],
@@ -74,18 +76,18 @@ def prepare(store: Tracking, variations: Variations, trials_engine: Engine) -> t
     sweep = expanded(variations)
     ended = finished(sweep, store)
     tested = any(ended["test_episodes"])  # whether any last policy was or will be tested
-    studies: dict[tuple[str, ...], Study] = {}
+    studies: dict[tuple[str, ...], tuple[str, Study]] = {}
     for cell in sweep.cells:
+        where = f" (in the cell {' '.join(cell.labels)})" if cell.labels else ""
         try:
             study = build(cell.composition)
             study.check()
             if study.conditions.confirm:
                 raise ConfigError("hardware.confirm", "must be false: a sweep cannot ask for confirmation")
         except ConfigError as error:
-            where = f" (in the cell {' '.join(cell.labels)})" if cell.labels else ""
             raise ConfigError("", f"{error}{where}") from error
         tested |= study.policy_test.episodes > 0
-        studies.setdefault(tuple(sorted(cell.composition.choices.values())), study)
+        studies.setdefault(tuple(sorted(cell.composition.choices.values())), (where, study))
     if sweep.figures_to is not None:
         _check_folder(Path(sweep.figures_to).resolve())
     for name, figure in sweep.figures.items():
@@ -94,11 +96,16 @@ def prepare(store: Tracking, variations: Variations, trials_engine: Engine) -> t
         if figure.reads_tests and not tested:
             problem = f"is 0, but sweep.figures.{name} shows tests of the last policies"
             raise ConfigError("policy_test.episodes", problem)
+    if not tested and (of_tests := [name for name in sweep.report.measures if name in OF_TESTS]):
+        raise ConfigError("policy_test.episodes", f"is 0, but sweep.report.measures has {of_tests[0]}")
     if len(ended) < len(sweep.trials) and not sweep.dry_run:
-        for study in studies.values():
+        for where, study in studies.values():
             if trials_engine.has_workers and not study.hardware.concurrent:
                 raise ConfigError("engine", NOT_CONCURRENT.format(type(study.hardware).__name__))
-            rehearse(study)  # compiled here once; workers find it in the cache
+            try:
+                rehearse(study)  # compiled here once; workers find it in the cache
+            except ConfigError as error:
+                raise ConfigError("", f"{error}{where}") from error
     return sweep, ended
 
 

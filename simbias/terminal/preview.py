@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,8 @@ def preview(overrides: Sequence[str], config_dir: str | None, allow: Sequence[st
     with preparing():
         study = build(compose(overrides, config_dir, allow))
         rehearse(study)
+    if Path(FILE).is_dir():
+        raise ConfigError(FILE, "cannot be written (it is a folder)")
     say(console, "Searching for the trial's first policy; no experiment is run ...")
     prediction = first_prediction(study)
     bounds = study.conditions.safety.bounds(study.task)

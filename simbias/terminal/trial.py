@@ -18,7 +18,7 @@ from simbias.config.build import build, service
 from simbias.config.stored import read_folder
 from simbias.core import Model, Policy
 from simbias.core.commands import BAD_INPUT, FAILED, SUCCEEDED, WAITING
-from simbias.core.messages import brief, counted, with_type
+from simbias.core.messages import LONGEST_REASON, brief, counted, with_type
 from simbias.core.records import Array, Iteration, Rollout, Search
 from simbias.engine.contract import Engine
 from simbias.engine.workplace import tidy
@@ -182,7 +182,7 @@ class TrialConsole(Observer):
         number = f"{len(self._iterations):>3}"
         for remark in remarks:
             if remark.kind not in self._said:
-                say(self._console, f"{number}  {brief(remark.words)}", "yellow")
+                say(self._console, f"{number}  {brief(remark.words, LONGEST_REASON)}", "yellow")
             elif again and remark.kind not in self._said_of_policy:
                 say(self._console, f"{number}  again: {remark.kind}", "yellow")
             self._said.add(remark.kind)
@@ -242,10 +242,11 @@ class TrialConsole(Observer):
         self._iterations.append(iteration)
 
     def _experiment_text(self, rollout: Rollout) -> str:
-        """Cost and duration of an experiment, and whether it failed if its cost does not show this."""
-        seconds = rollout.frames * self._study.task.time_step
-        failed = rollout.failed_at is not None and rollout.cost < self._study.cost.max_cost
-        return f"{cost_text(rollout.cost):>8} ({seconds:.2f} s{', failed' * failed})"
+        """Cost and duration of an experiment, and whether it is no success if its cost does not show this."""
+        study, word = self._study, "missed" if rollout.failed_at is None else "failed"
+        hidden = rollout.cost < study.cost.max_cost and not study.passes(rollout)
+        seconds = rollout.frames * study.task.time_step
+        return f"{cost_text(rollout.cost):>8} ({seconds:.2f} s{f', {word}' * hidden})"
 
     def conclude(self, record: TrialRecord, where: str, replayed: bool = False) -> None:
         """Print the closing line: the outcome, the number of experiments, and how to view the trial."""

@@ -36,6 +36,7 @@ def continue_trial(study: Study, folder: Path, source: Path, read: Callable[[Pat
     """
     if (folder / TRIAL).exists():
         if TrialFolder(folder).continues is None:
+            _check(study, read(source), source)  # whose error, such as for a typo, comes first
             began = f"is a trial that began without the steps of {source}"
             raise ConfigError(str(folder), f"{began}. Move it away, or leave out {OPTION}")
         return

@@ -119,6 +119,8 @@ def _beyond_reach(states: Array, model: Model, planned: bool) -> str:
     coming = (short[-1] < NEARER * short[: int(EARLIER * len(short))].min(axis=0, initial=np.inf)).all()
     late = "; it was still approaching, so the horizon may be too short" if coming else ""
     random = planned and not moves(goal_along(task))
+    if random and (short[-1] <= 0).all():
+        return "; the plan is there at the end only: policy.resting=1 plans to rest there for 1 s"
     return late + "; a larger method.trajectories tries more plans" * random
 
 
@@ -254,7 +256,8 @@ def of_inputs(experiments: Sequence[Rollout], study: Study) -> Iterator[Remark]:
     changes = np.abs(np.concatenate(steps)).mean(axis=0)
     worst = int(np.argmax(changes))
     if changes[worst] > CHATTER:
-        filters = ", ".join(f"policy.{key}" for key in ("filter_seconds", "observer") if key in options)
+        without = {"filter_seconds": 0.0, "observer": "none"}
+        filters = ", ".join(f"policy.{key}" for key, none in without.items() if options.get(key) == none)
         yield Remark(
             "an input chatters",
             f"{task.inputs[worst].name} changes by {changes[worst]:.0%} of its range from frame to frame, on "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -23,6 +24,7 @@ from simbias.core import (
     Policy,
     Samples,
     Simulator,
+    StudyWarning,
     Task,
 )
 from simbias.core.errors import ConfigError
@@ -39,6 +41,8 @@ from simbias.trial.method import Method
 from simbias.trial.observer import Observer
 from simbias.trial.policy_test import NO_TEST, PolicyTest
 from simbias.trial.replay import Record, ReplayedOptimizer
+
+WITH_NOISE = ("kalman", "disturbance")  # observers that need the variances of the measurements
 
 
 class Origin(Protocol):
@@ -92,6 +96,7 @@ class Study:
     policy_test: PolicyTest = NO_TEST
     budget: Budget = NO_LIMITS
     spending: Spending = field(default_factory=Spending)  #: of the budget in a running trial
+    as_composed: bool = field(default=False, init=False)  #: whether `build` made it; false in copies
 
     def __repr__(self) -> str:
         """The study in a line, e.g. in a notebook."""
@@ -157,9 +162,16 @@ class Study:
         ConfigError
             Naming the key.
         """
-        searched = isinstance(self.policy, Trajectory) and self.policy.searched_knots
-        if searched and not self.method.trajectories:
-            raise ConfigError("policy.searched_knots", "needs a plan to search near: method=trajectory")
+        if isinstance(self.policy, Trajectory) and not self.method.trajectories:
+            if self.policy.searched_knots:
+                raise ConfigError("policy.searched_knots", "needs a plan to search near: method=trajectory")
+            if getattr(self.method, "first_policy", None) is None:
+                raise ConfigError("policy", "follows a plan, so it needs method=trajectory")
+        policy, real = (self.config.get(group, {}) for group in ("policy", "hardware"))
+        if policy.get("observer") in WITH_NOISE and not policy.get("noise") and real.get("noise"):
+            remedy = "policy.noise='${noise_of_hardware:}' takes the hardware's"
+            words = f"policy.observer={policy['observer']} assumes exact measurements; {remedy}"
+            warnings.warn(words, StudyWarning, stacklevel=2)
         self.method.check(self)
 
     def simulate(
@@ -208,9 +220,11 @@ class Study:
         Waiting
             If its result is not available yet.
         ValueError
-            If theta or the start has another shape.
+            If theta or the start has another shape, or `rng` is no generator.
         """
         theta = shaped("theta", theta, self.policy.n_parameters)
+        if not isinstance(rng, np.random.Generator):
+            raise ValueError(f"rng: expected numpy.random.default_rng(seed), got {type(rng).__name__}")
         begin = self.task.draw_start(rng) if start is None else start
         begin = shaped("start", begin, len(self.task.states))
         watching = observer or Observer()

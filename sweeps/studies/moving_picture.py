@@ -24,7 +24,7 @@ def moving_picture(trial: str, file: str) -> None:
     record = simbias.load_trial(trial)
     study, iterations = record.study, record.iterations
     both = first_and_last(on_hardware(iterations))
-    named = [NamedRollout(policy_words(iteration), worst_experiment(iteration)) for iteration in both]
+    named = [NamedRollout(policy_words(iteration), worst_experiment(study, iteration)) for iteration in both]
     count = counted(iterations[-1].total_experiments, "experiment")
     robot = study.choices["task"].replace("_", " ").capitalize()
     animate(study.task, named, f"{robot} on the hardware: {count} in all", file)

@@ -17,6 +17,7 @@ from simbias.config.components import component_class, constructor_parameters
 from simbias.config.conditions import split
 from simbias.config.hydra_config import set_value
 from simbias.config.renamed import RENAMED, new_name
+from simbias.core import StudyWarning
 from simbias.core.errors import LONGEST_KEY
 from simbias.core.messages import LONGEST
 from simbias.sweep.grid import expand
@@ -29,7 +30,12 @@ BAD = {  # by override: its key, and what is said of it
     "++nominal.uncertainty.masses=true": ("nominal.uncertainty.masses", "must be a number, got true"),
     "bias.d=-1": ("bias.d", "must be greater than or equal to 0, got -1"),
     "cost.state_weights=[-1]": ("cost.state_weights.0", "must be greater than or equal to 0, got -1"),
-    "bias.dd=1": ("bias.dd", "no such key; --cfg job shows all keys, --help the groups; +bias.dd=... sets "),
+    "bias.dd=1": ("bias.dd", "no such key; GaussianProcess takes d, fourier_features, "),
+    "evaluation.rollouts=1": ("evaluation.rollouts", "no such key; NominalStart takes none"),
+    "method.max_iteration=1": ("method.max_iteration", "no such key; did you mean max_iterations?"),
+    "seed.x=1": ("seed.x", "no such key; --cfg job shows all keys, --help the groups; +seed.x=... sets one"),
+    "cartpole": ("cartpole", "expected group=option or group.key=value, such as preset=robust"),
+    "task=cartpole": ("samples.limits.body_angle", "refers to task.limits.body_angle, which is missing"),
     "+task.horizion=100": ("task.horizion", "no such key; did you mean horizon?"),
     "+bias.dd=1": ("bias.dd", "no such key; if a preset sets it, ~bias.dd leaves it out"),
     "++bias={dd: 1, ee: 2}": (
@@ -52,7 +58,7 @@ BAD = {  # by override: its key, and what is said of it
     "bias=gp,none": ("bias=gp,none", "or run many trials as a sweep (+sweep=NAME)"),
     "seed=range(1,3)": ("seed=range(1,3)", "or run many trials as a sweep (+sweep=NAME)"),
     "seed=???": ("seed", "Missing mandatory value"),
-    "seed=${nosuch}": ("seed", "Interpolation key 'nosuch' not found"),
+    "seed=${nosuch}": ("seed", "refers to nosuch, which is missing; is this option for another robot?"),
     "bias._target_=simbias.cost.quadratic.Quadratic": ("bias._target_", "is not a bias"),
     "bias._target_=simbias.no.such.Class": ("bias._target_", "cannot import 'simbias.no.such.Class'"),
     "+bias.task=1": ("bias.task", "is provided"),
@@ -88,6 +94,47 @@ def test_bad_override() -> None:
         assert len(str(error.value)) < LONGEST + LONGEST_KEY + 3
 
 
+TOGETHER = {
+    ("preset=cartpole", "policy=trajectory"): "^policy: follows a plan, so it needs method=trajectory$",
+    ("preset=cartpole", "hardware=pymunk"): "^hardware: PymunkBongoboard works with a task of Bongoboard",
+    (
+        "preset=cartpole_swingup",
+        "+cost.widths.zz=1",
+    ): r"zz; available: .*; ~cost\.widths\.NAME leaves",
+    ("preset=cartpole_swingup", "task.inputs.force.limit=true"): "must be a number, got true$",
+    ("preset=cartpole_swingup", "+task.where={a: zz}"): r"^task: where\.a: 'zz': nothing is called zz",
+    ("preset=cartpole_swingup", "+task.outputs={a: {value: zz}}"): r"^task: outputs\.a: 'zz': nothing is",
+}
+
+
+@pytest.mark.slow
+def test_what_does_not_go_together_is_refused() -> None:
+    for overrides, words in TOGETHER.items():
+        with one_line(words):
+            simbias.load([*overrides, "tracking=none"]).check()
+
+
+DOUBTFUL = {
+    ("policy.observer=kalman", "hardware.noise.angle_variance=1e-4"): "kalman assumes exact measurements; ",
+    (
+        "task.success.upright.below=20",
+    ): r"^success\.upright always holds: abs\(angle_error\) is at most 3\.14",
+    ("method.experiments=5", "budget.experiments=3"): "^budget.experiments=3 allows no success, which needs",
+}
+
+
+@pytest.mark.slow
+def test_what_is_probably_a_mistake_is_told() -> None:
+    for overrides, words in DOUBTFUL.items():
+        with pytest.warns(StudyWarning, match=words):
+            simbias.load(["preset=cartpole_swingup", *overrides, "tracking=none"]).check()
+
+
+def test_two_presets_are_one_override() -> None:
+    with one_line(r"^preset: is given twice; 'preset=\[cartpole,robust\]' combines two$"):
+        compose(["preset=cartpole", "preset=robust"])
+
+
 def test_an_axis_may_set_the_last_value_of_a_list() -> None:
     """A key below a value that refers to nothing is refused in one line."""
     config = OmegaConf.create({"list": [1, 2], "other": "${none}"})
@@ -116,9 +163,9 @@ def test_a_whole_mapping_adds_its_keys(beside: list[str]) -> None:
         **config["noise"],
         "position_variance": 0.2,
     }
-    for key in ("hardware.nosuch", "engine.nosuch", "hydra.nosuch", "seed.x"):
-        with one_line(rf"^{key}: no such key; --cfg job shows all keys"):
-            compose([*base, f"{key}={{a: 1}}"])
+    for group in "hardware", "engine", "hydra", "seed":
+        with one_line(rf"^{group}.nosuch: no such key; (\w+ takes|--cfg job shows)"):
+            compose([*base, f"{group}.nosuch={{a: 1}}"])
 
 
 def test_the_last_override_counts() -> None:
@@ -245,6 +292,13 @@ def test_in_a_file(folder: Path) -> None:
         ("preset", f"{head}defaults: [{{override /old_group: a}}]", "optimi"),
         ("sweeps", "sweep: {trials: 1, axes: {bias.reach: [1, 2]}}", "is now bias.d"),
         ("sweeps", "sweep: {trials: 1, axes: {bias: [gaussian]}}", "is now bias=gp"),
+        ("preset", f"{head}defaults: [/bias: none]", "write 'override /bias: OPTION'"),
+        ("preset", f"{head}defaults: [bias: none]", "write 'override /bias: none'"),
+        ("preset", f"{head}defaults: [override bias: none]", "write 'override /bias: OPTION'"),
+        ("preset", "defaults: [override /bias: none]", "A preset's first line is '# @package _global_'"),
+        ("preset", "method: {max_iterations: 3}", "must begin with the line '# @package _global_'"),
+        ("preset", f"{head}bias: none", "a file's defaults choose an option: 'override /bias: none'"),
+        ("sweeps", "defaults: [override bias: none]", "write 'override /bias: OPTION'"),
     ):
         write(folder, {f"{group}/mine.yaml": text})
         use, chosen = (simbias.load, "preset=mine") if group == "preset" else (expand, "+sweep=mine")

@@ -190,8 +190,11 @@ def test_rows_that_are_lost_or_doubled_under_a_clock_that_goes_on_cut_it(
         found = read(rows)
         assert [piece.frames for piece in found.pieces] == [99, 199, len(rows) - 301]
         assert found.notes[0].endswith(
-            "a jump at row 302, more than velocities imply: are rows lost or doubled?"
+            "a jump at row 302, more than velocities imply: is it reset, or are rows lost?"
         )
+        found = read(rows.drop(columns=["vel1", "vel2"]))  # their rates are those of the motion around
+        assert "a jump at row 302, more than velocities imply" in "; ".join(found.notes)
+        assert [piece.frames for piece in found.pieces] == [99, 199, len(rows) - 301]
     glitches = table.assign(pos1=table["pos1"] + (table.index % 100 == 50))
     assert "row 352, row 353 and 12 other places, more than" in read(glitches).notes[0]
     late = table.assign(time=table["time"].where(table.index != 300, 0.6019))

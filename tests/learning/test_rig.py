@@ -1,6 +1,8 @@
 """Motors and sensors whose parameters are known, identified with a robot's own."""
 
-from dataclasses import replace
+import json
+import re
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +13,7 @@ from models import driven, with_values
 from pendulum import NOISE, QUICK, pendulum
 
 import simbias
-from simbias.core import Nominal
+from simbias.core import Nominal, StudyWarning
 from simbias.core.errors import ConfigError
 from simbias.core.parameters import values_at
 from simbias.core.records import Array, Rollout
@@ -208,3 +210,10 @@ def test_what_the_task_has_not_is_told(study: Study) -> None:
         simbias.load(["preset=double_pendulum", "identification=cartpole_swingup"])
     with pytest.raises(ValueError, match=r"identification\.each: no load; available: mass_1, "):
         Rig(study.task, study.nominal, {}, {}, each=["load"])
+    known = asdict(Identified.of_prior(study.nominal).known)
+    known["doubts"] = [["recordings disagree"]] * len(known["mode"])
+    keys_in_plain = re.sub(r'"(\w+)": ', r"\1: ", json.dumps(known))
+    with pytest.warns(StudyWarning, match="begins with a posterior of which no parameter is trusted"):
+        pendulum("identification=posterior", f"identification.known={keys_in_plain}")
+    with pytest.raises(ValueError, match=r"pos1\.gain is uncertain in nominal\.uncertainty, too"):
+        Rig(study.task, Rig(study.task, study.nominal, {}, SENSORS), {}, {"pos1": Sensor(0.1)})

@@ -183,7 +183,7 @@ def test_experiments_shorter_than_the_horizon_are_left_out(short: Study, trial: 
 def test_forecast_shows_the_experiment_and_its_predictions(short: Study, trial: list[Iteration]) -> None:
     """A band begins at the start, known for sure, and grows; bars show where it leaves the axes."""
     last, figure, left, gone = trial[-1], forecast(short, trial), [], []
-    measured = worst_experiment(last)
+    measured = worst_experiment(short, last)
     corrected = short.simulate(last.parameters, last.model.bias, measured.states[0])
     nominal = short.simulate(last.parameters, None, measured.states[0])
     for i, axes in enumerate(figure.axes):

@@ -3,6 +3,8 @@
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -25,6 +27,14 @@ pytestmark = pytest.mark.slow
 AT_REST = [name for name in FIGURES if name != "following"]  # of a task whose goal does not move
 
 
+def test_the_worst_experiment_is_one_that_missed_the_goal(trial: list[Iteration]) -> None:
+    """Whatever it cost; of several, the most costly one."""
+    costs = {1.0: True, 0.5: False, 0.2: False}
+    tried = [replace(trial[0].experiments[0], cost=cost) for cost in costs]
+    study = cast(Study, SimpleNamespace(passes=lambda rollout: costs[rollout.cost]))
+    assert worst_experiment(study, replace(trial[0], experiments=tuple(tried))).cost == 0.5
+
+
 def test_all_pictures_of_a_trial(short: Study, trial: list[Iteration]) -> None:
     """The animation is in real time and shows all."""
     files = pictures(short, trial)
@@ -37,7 +47,7 @@ def test_all_pictures_of_a_trial(short: Study, trial: list[Iteration]) -> None:
         picture.seek(frame)
         durations.append(picture.info["duration"])
         sizes.add(picture.size)
-    worst = worst_experiment(trial[-1])
+    worst = worst_experiment(short, trial[-1])
     rollouts = [worst, *simulated(short, trial[-1], [worst])]
     longest = max(rollout.frames for rollout in rollouts) * short.task.time_step
     assert sum(durations[:-1]) == pytest.approx(1000 * longest, abs=100)

@@ -839,7 +839,10 @@ def test_the_command_tells_and_writes(
     assert "Next: No trajectory is proposed (it would rely on the identified model" in out
     for wrong, said in (
         (["identify", "three.csv", *arguments[2:]], "three.csv: no such recording (.csv, .csv.gz, .mcap, "),
-        ([*arguments, "--columns", "{angle: q}"], "columns: names quantities that the task lacks: angle\n"),
+        (
+            [*arguments, "--columns", "{angle: q}"],
+            "columns: names quantities that the task lacks: angle; it",
+        ),
         ([*arguments, "--columns", "[angle]"], "--columns: must be a mapping of names"),
         ([*arguments, "hardware.folder=lab", "--attach"], "hardware.folder: has no recording to start a"),
     ):

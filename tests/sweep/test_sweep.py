@@ -336,6 +336,9 @@ def test_bad_input_runs_nothing(folder: Path, capsys: pytest.CaptureFixture[str]
             "+sweep={trials: 1, axes: {method: [ideal]}}", "hardware=manual"
         ],
         "policy_test.episodes: is 0, but sweep.figures.gaps": ["+sweep=gaps", "policy_test.episodes=0"],
+        "policy_test.episodes: is 0, but sweep.report.measures has holds": [
+            "+sweep=smoke", "+sweep.report={measures: [holds]}"
+        ],
         "hardware.confirm: must be false: a sweep cannot ask": ["+sweep=smoke", "hardware.confirm=true"],
         "tracking: none keeps no trials": ["+sweep=fig4", "tracking=none"],
         "sweep.figures.fig4.columns: ": ["+sweep=fig4", "sweep.figures.fig4.columns=0"],
@@ -350,6 +353,8 @@ def test_bad_input_runs_nothing(folder: Path, capsys: pytest.CaptureFixture[str]
         assert main(overrides) == 2
         (line,) = capsys.readouterr().err.splitlines()
         assert line.startswith(f"simbias: {key}")
+    assert main(["+sweep={trials: 1, axes: {task.horizon: [5]}}"]) == 2
+    assert re.search("^simbias: task.horizon: .* too short .* \\(in the cell 5\\)$", capsys.readouterr().err)
     assert not list(folder.iterdir())
 
 

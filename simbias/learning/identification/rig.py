@@ -76,8 +76,8 @@ class Rig(Nominal):
     Raises
     ------
     ValueError
-        As for `check_signals`; also if motors are declared for a model that already has them, or the model
-        has no parameter of a given name.
+        As for `check_signals`; also if motors are declared for a model that already has them, if the model
+        has no parameter of a given name, or if the rig has a parameter of the same name.
     """
 
     def __init__(
@@ -103,6 +103,8 @@ class Rig(Nominal):
         own = [*_parameters(task.inputs, motors, task.states), *_parameters(task.states, sensors)]
         shared = [p._replace(of_recording=p.of_recording or p.name in each) for p in nominal.parameters]
         self.parameters = (*shared, *own)
+        if twice := {p.name for p in own} & {p.name for p in shared}:
+            raise ValueError(f"identification: {min(twice)} is uncertain in nominal.uncertainty, too")
         self._values = {parameter.name: parameter.value for parameter in own}
         self._has_motors = bool(motors)
         self._assemble()

@@ -65,7 +65,7 @@ def save_animation(study: Study, iterations: Sequence[Iteration], file: Path | s
         If the task has no drawing, or none that moves, or no policy was tried on the hardware.
     """
     iteration = on_hardware(iterations)[-1]
-    experiment = worst_experiment(iteration)
+    experiment = worst_experiment(study, iteration)
     rollouts: list[NamedRollout | None] = [on_nominal(study, iteration, experiment)]
     if learned_before(iterations, iteration):
         rollouts.append(in_simulation(study, iterations, iteration, experiment))

@@ -105,9 +105,9 @@ def policy_experiments(iteration: Iteration) -> list[Rollout]:
     return [rollout for rollout in iteration.experiments if np.array_equal(rollout.parameters, theta)]
 
 
-def worst_experiment(iteration: Iteration) -> Rollout:
-    """The most costly experiment of an iteration's final policy."""
-    return max(policy_experiments(iteration), key=lambda rollout: rollout.cost)
+def worst_experiment(study: Study, iteration: Iteration) -> Rollout:
+    """The most costly experiment of an iteration's final policy, among those that are no success, if any."""
+    return max(policy_experiments(iteration), key=lambda each: (not study.passes(each), each.cost))
 
 
 def policy_words(iteration: Iteration) -> str:
@@ -144,4 +144,4 @@ def outcome_words(study: Study, rollout: Rollout) -> str:
 
 def compared_words(study: Study, iteration: Iteration) -> str:
     """A policy and how its worst experiment ended."""
-    return f"{policy_words(iteration)}: {outcome_words(study, worst_experiment(iteration))}"
+    return f"{policy_words(iteration)}: {outcome_words(study, worst_experiment(study, iteration))}"

@@ -52,7 +52,7 @@ def following(study: Study, iterations: Sequence[Iteration]) -> Figure:
     figure, blocks = panels(len(task.goals) + in_plane, HEIGHT, blocks=len(both))
     for block, iteration in zip(blocks, both, strict=True):
         headline(block[0], compared_words(study, iteration))
-        experiment = worst_experiment(iteration)
+        experiment = worst_experiment(study, iteration)
         targets = [task.targets_in(experiment.states[0])] if task.targets else []
         reference = np.array([task.reference(t, *targets) for t in times])  # (T+1, g)
         rollouts = [*simulated(study, iteration, [experiment]), experiment]

@@ -50,7 +50,7 @@ def forecast(study: Study, iterations: Sequence[Iteration]) -> Figure:
         If no policy was tried on the hardware.
     """
     task, iteration = study.task, on_hardware(iterations)[-1]
-    experiment = worst_experiment(iteration)
+    experiment = worst_experiment(study, iteration)
     curves, draws = [NamedRollout("hardware", experiment)], None
     model = iteration.model
     if model is not None and learned_before(iterations, iteration):

@@ -82,7 +82,7 @@ def overview(study: Study, iterations: Sequence[Iteration]) -> Figure:
     figure = Figure(layout=layout)
     left, right = figure.subfigures(1, 2, width_ratios=WIDTHS, squeeze=False)[0]
     blocks = left.subfigures(len(both), squeeze=False)[:, 0]
-    shown = [worst_experiment(iteration) for iteration in both]
+    shown = [worst_experiment(study, iteration) for iteration in both]
     times = np.linspace(0.0, seconds(study.task, study.task.horizon), COLUMNS)
     grids, snapshots = [], []
     for block, iteration, experiment in zip(blocks, both, shown, strict=True):
@@ -110,7 +110,7 @@ def overview(study: Study, iterations: Sequence[Iteration]) -> Figure:
 
 def _rollouts(study: Study, iterations: Sequence[Iteration], iteration: Iteration) -> list[NamedRollout]:
     """An iteration's worst experiment with its uptime, preceded by its simulation if there was a search."""
-    experiment, count = worst_experiment(iteration), len(policy_experiments(iteration))
+    experiment, count = worst_experiment(study, iteration), len(policy_experiments(iteration))
     uptime = study.task.uptime(experiment.states)
     name = hardware_words(study) + (f", worst of {count}" if count > 1 else "")
     name += "" if np.isnan(uptime) else f", uptime {uptime:.0%}"

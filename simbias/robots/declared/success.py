@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from simbias.core import Quantity, Task
+from simbias.core import Quantity, StudyWarning, Task
 from simbias.core.records import Array
 from simbias.robots.declared.declarations import Failure, bound_of, criterion_of, within_abs
 from simbias.robots.declared.reference import TIME
@@ -56,6 +57,15 @@ class Success:
                 kept, avoided = ([key for key in keys if (key in own) == is_own] for is_own in (True, False))
                 words = " and ".join(kept) + (" without " + " or ".join(avoided)) * bool(avoided)
                 raise ValueError(f"success cannot hold: no value of {expression} meets {words}")
+
+    def warn_of_degrees(self, goals: Sequence[Quantity]) -> None:
+        """Warn of a bound on the magnitude of an angle's error that no error exceeds."""
+        most = {f"{goal.name}_error": goal.turn / 2 for goal in goals if goal.wraps}
+        for name, each in self._conditions.items():
+            value, is_magnitude = within_abs(each.value)
+            if is_magnitude and value in most and (each.below or 0.0) > most[value]:
+                words = f"success.{name} always holds: {each.value} is at most {most[value]:.3g}"
+                warnings.warn(f"{words}; is {each.below:g} in degrees?", StudyWarning, stacklevel=4)
 
     def check_numbers(self, states: Array, times: Array, errors: Array) -> None:
         """Refuse conditions that are not a number in any of these states (k, .)."""

@@ -163,7 +163,7 @@ class Declared(Task):
     def _set_outputs(self, outputs: dict[str, Output]) -> None:
         given = outputs or {state.name: Output(state.name, state.unit) for state in self.states}
         self.outputs = tuple(Quantity(name, output.unit) for name, output in given.items())
-        self._output = self.expressions({name: output.value for name, output in given.items()})
+        self._output = self.expressions({f"outputs.{name}": output.value for name, output in given.items()})
 
     def _set_failures(self, failure: dict[str, Failure]) -> None:
         """Set the failure criteria; refuse those that depend on targets, which a robot does not have."""
@@ -259,6 +259,7 @@ class Declared(Task):
         states = np.full((len(times), len(self._known["variables"])), np.nan)
         self._success.check_at(np.column_stack([states, times, errors]))
         self._success.check_beside(failure)
+        self._success.warn_of_degrees(self._goals)
         x = varied_states(self)
         t = np.linspace(0.0, self.horizon * self.time_step, len(x))
         errors = np.random.default_rng(0).standard_normal((len(x), len(self._goals)))

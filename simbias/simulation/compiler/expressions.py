@@ -93,7 +93,7 @@ class _Parser:
 
     def define(self, name: str, text: str) -> Value:
         """Parse an expression whose name later ones may use."""
-        value = self.parse(name, text)
+        value = self.parse(f"where.{name}", text)
         self._add_next(name)
         return value
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from simbias.core import Task
+from simbias.core import StudyWarning, Task
 from simbias.core.errors import ConfigError
 from simbias.core.files import ConfigFile
 from simbias.core.ranges import Count, CountOrZero, NonNegative, Positive, Share
@@ -119,7 +120,14 @@ class ModelBased(Method):
         return passes_for(self.confidence, policy, self.experiments, self.passes)
 
     def check(self, study: Study) -> None:
-        """Refuse another policy's parameters, a policy that follows no plan, and unlimited random inputs."""
+        """Refuse another policy's parameters, a policy that follows no plan, and unlimited random inputs.
+
+        Warn of a budget that no policy can pass.
+        """
+        most, least = study.budget.experiments, self.random_experiments + self.passes_of(0)
+        if most and most < least:
+            words = f"budget.experiments={most} allows no success, which needs {least}"
+            warnings.warn(words, StudyWarning, stacklevel=2)
         list(self._known(study))
         if self.trajectories:
             follower(study.task, study.policy)
