@@ -132,7 +132,7 @@ def load_trial(
 
     if Path(trial).is_dir():
         return read_folder(Path(trial), config_dir, allow)
-    from simbias.mlflow.stored import trial_folder  # lazily: MLflow takes seconds
+    from simbias.mlflow.trial import trial_folder  # lazily: MLflow takes seconds
 
     with trial_folder(str(trial), uri) as folder:
         return read_folder(folder, config_dir, allow)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,7 +88,13 @@ class Designer:
         self.noise = self._usual_noise() if noise is None else noise
 
     @threadpool_limits.wrap(limits=1, user_api="blas")  # small matrices, as in `assess`
-    def design(self, seconds: float, trajectories: int, rng: np.random.Generator) -> Excitation:
+    def design(
+        self,
+        seconds: float,
+        trajectories: int,
+        rng: np.random.Generator,
+        progress: Callable[[str], None] = lambda words: None,
+    ) -> Excitation:
         """The best of a number of trajectories with a duration in s.
 
         Raises
@@ -104,6 +110,7 @@ class Designer:
             raise ConfigError("identification.window", f"{window:g} s is longer than inputs of {seconds:g} s")
         best: tuple[float, Array, Excitation] | None = None
         for index in range(trajectories):
+            progress(f"trajectory {index + 1} of {trajectories}")
             if best is None or index < RANDOM * trajectories:
                 c = self._random(rng)
             else:

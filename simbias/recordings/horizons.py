@@ -104,6 +104,14 @@ class HorizonErrors:
             return np.nan
         return float(np.sqrt(np.quantile(own, REGION) / _normal_limit(n)))
 
+    def least_explained(self) -> int:
+        """The state whose errors are the largest ones relative to what explains them."""
+        shares = [
+            one.errors**2 / (np.diagonal(one.spreads, axis1=1, axis2=2) + one.noise**2)
+            for one in self.own or self.identified
+        ]
+        return int(np.argmax(np.quantile(np.concatenate(shares), REGION, axis=0)))
+
 
 def predictions(
     task: Task,

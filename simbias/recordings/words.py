@@ -96,10 +96,11 @@ def _lacking(assessment: Assessment) -> str:
     cause = ", or its integration steps are too long" if _stepped(assessment) else ""
     if any(doubt.startswith(ESTIMATED) for doubt in assessment.findings[0].doubts):
         cause += f", or {ESTIMATED} too roughly"
+    (worst,) = (each.least_explained() for each in assessment.predictions if each.seconds == seconds)
     return (
-        f" Errors after {seconds:g} s are {times:.1f} times what measurement noise and intervals explain: "
-        f"the model lacks something{cause}. Its values are those that predict best; they may not be the "
-        "robot's."
+        f" Errors after {seconds:g} s are {times:.1f} times what measurement noise and intervals explain, "
+        f"above all those of {assessment.task.states[worst].name}: the model lacks something{cause}. Its "
+        "values are those that predict best; they may not be the robot's."
     )
 
 

@@ -51,7 +51,7 @@ def excite(request: Request, seconds: float, file: Path) -> None:
         assert isinstance(posterior, Posterior)
         model = posterior.fit(study.nominal, learned.rollouts, learned.recordings)
         designer = Designer(study, model, noise_of(learned.rollouts) if learned.rollouts else None)
-        found = designer.design(seconds, TRAJECTORIES, np.random.default_rng(study.seed))
+        found = designer.design(seconds, TRAJECTORIES, np.random.default_rng(study.seed), tell_of)
         beyond = designer.beyond(found.rollout.inputs)
     with _writing(file):
         trajectory(study.task, found.rollout).to_csv(file, index=False, float_format="%.6g")
@@ -104,7 +104,7 @@ def recovery(request: Request) -> bool:
         else:
             tell_of(LOOKING)
             designer = Designer(study, study.identification.fit(study.nominal, []))
-            found = designer.design(SECONDS, TRAJECTORIES, np.random.default_rng(study.seed)).rollout
+            found = designer.design(SECONDS, TRAJECTORIES, np.random.default_rng(study.seed), tell_of).rollout
             takes, noise = [Take(found.states[0], found.inputs)], designer.noise
         recovered = recover(study, takes, noise, progress=tell_of)
     names = ("parameter", "unit", "error", "deviation", "90% interval holds it", "comes back")

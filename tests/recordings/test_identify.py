@@ -143,18 +143,25 @@ def test_errors_that_noise_and_uncertainty_do_not_explain_are_told(assessment: A
     for times in (1.0, 3.0):
         own = ModelErrors(times * wrong, spread, noise, wrong)
         assert HorizonErrors(0.5, (wrong,), (own,)).unexplained() == pytest.approx(times, rel=0.1)
+    of_second = own._replace(errors=wrong * [1.0, 3.0])
+    assert HorizonErrors(0.5, (wrong,), (of_second,)).least_explained() == 1
     few = own._replace(errors=wrong[:9], spreads=spread[:9])
     assert np.isnan(HorizonErrors(0.5, (wrong,), (few,)).unexplained())
     assert "explain" not in verdict(assessment)
     larger = [enlarged(one, 3.0) for one in assessment.predictions]
     lacking = replace(assessment, predictions=larger).doubted()
     still = replace(assessment.study, task=pendulum("task.failure.speed.above=0.1").task)
-    said = r" Errors after \S+ s are [34]\.\d times what measurement noise and intervals explain: "
+    said = r" Errors after \S+ s are [34]\.\d times what measurement noise and intervals explain, above "
     assert re.search(said, verdict(lacking))
     told = [[row[-1] for row in parameter_rows(each)] for each in (assessment, lacking)]
     stepped = [replace(each, lasting=(STEP_DOUBT,)) for each in lacking.findings]
     cause = "the model lacks something, or its integration steps are too long. Its values"
     assert [cause in verdict(each) for each in (lacking, replace(lacking, findings=stepped))] == [False, True]
+    rough = [
+        replace(each, lasting=("velocities are estimated in frames of 0.05 s",)) for each in lacking.findings
+    ]
+    rough_words = "the model lacks something, or velocities are estimated too roughly. Its values"
+    assert rough_words in verdict(replace(lacking, findings=rough))
     assert "yes" in told[0]
     doubt = "the model lacks something"
     assert told[1] == [doubt if cell == "yes" else f"{cell}; {doubt}" for cell in told[0]]
