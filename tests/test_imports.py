@@ -42,7 +42,7 @@ PRIVATE = re.compile(r"\._[a-z]|\.externals\b|^numba\.core\b")
 RUNS_WHAT_IT_READS = {"pickle", "dill", "cloudpickle", "shelve", "marshal", "jsonpickle"}
 OF_YAML = {"safe_load", "dump", "safe_dump", "SafeDumper"}  # which make plain values only,
 OF_YAML |= {"compose", "SafeLoader", "Node", "CollectionNode", "YAMLError"}  # or none at all
-COPIES_IN_MEMORY = "copies.py"  # by pickle
+COPIES_IN_MEMORY = "hydra_config.py"  # by pickle
 READS_OF_OWN_WORKERS = ["loky.py"]  # by joblib, which unpickles too
 COMPILE_OWN_TEXT = ["compilation.py", "verification.py"]
 
