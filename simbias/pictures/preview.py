@@ -21,6 +21,7 @@ from simbias.trial.prediction import DRAWS, Prediction
 from simbias.trial.study import Study
 
 HEIGHT = 1.5  # in, of a panel
+WIDEST = 5.0  # times the predicted range: farther, the band leaves the axes
 
 
 class Series(NamedTuple):
@@ -69,7 +70,9 @@ def _draw(axes: Axes, time_step: float, series: Series) -> bool:
     quantity, values, low, high, limits = series
     axes.fill_between(time_step * np.arange(len(low)), low, high, color=SIMULATION, alpha=0.2, linewidth=0.0)
     axes.plot(time_step * np.arange(len(values)), values, color=SIMULATION, linewidth=1.0)
-    bottom, top = axes.get_ylim()
+    (bottom, top), least, most = axes.get_ylim(), np.nanmin(values), np.nanmax(values)
+    far = WIDEST * (most - least) or np.inf  # draws may diverge
+    bottom, top = axes.set_ylim(max(bottom, least - far), min(top, most + far))
     near = [edge for edge in limits if 2 * bottom - top <= edge <= 2 * top - bottom]
     for edge in near:
         axes.axhline(edge, color=LIMIT, linestyle=":", linewidth=0.8)

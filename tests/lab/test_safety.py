@@ -23,6 +23,7 @@ from simbias.core.commands import SUCCEEDED, WAITING
 from simbias.core.records import Array, Rollout
 from simbias.lab.checked_hardware import ExperimentConditions
 from simbias.lab.safety import Safety, SafetyLimitedPolicy, UnsafeError
+from simbias.pictures.preview import preview
 from simbias.terminal.preview import describe, first_prediction
 from simbias.terminal.trial import TrialConsole
 from simbias.trial import prediction
@@ -285,13 +286,16 @@ def test_a_policy_beyond_safety_limits_in_simulation_is_told_and_no_success(poin
         for start in (START, -START, START):  # once of each policy, though it fails from two starts
             console.experimenting(THETA, start)
     assert file.getvalue().count("goes beyond hardware.safety in simulation") == 2
-    prediction = predict(study, THETA, START)
+    prediction, bounds = predict(study, THETA, START), safety.bounds(study.task)
+    diverging = tuple(replace(each, states=1e3 * each.states) for each in prediction.draws)
+    axes, *_ = preview(study, replace(prediction, draws=diverging), bounds).axes
+    assert np.ptp(axes.get_ylim()) < 12 * np.ptp(prediction.expected.states[:, 0])  # the band leaves them
     failing = [
         replace(each, failed_at=each.frames, failure="distance")
         for each in (prediction.expected, *prediction.draws)
     ]
     for each in (prediction, replace(prediction, expected=failing[0], draws=tuple(failing[1:]))):
-        told = "\n".join(describe(study, each, safety.bounds(study.task)))  # before it fails
+        told = "\n".join(describe(study, each, bounds))  # before it fails
         assert "Predicted: hardware.safety aborts it after 0.02 s: a change of force by" in told
         assert "cost" not in told
         assert "then fails" not in told
