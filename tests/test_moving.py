@@ -185,7 +185,7 @@ def test_a_plan_that_misses_the_goal_is_told_why() -> None:
     assert told(reached, spinning) == limits + more
     at_last = np.stack([np.linspace(np.pi, 0.0, T + 1), np.zeros(T + 1)], axis=1)
     assert told(at_last).endswith(
-        "; the plan is there at the end only: policy.resting=1 plans to rest there for 1 s"
+        "; the plan is there at the end only: with policy.resting (s), it rests there before the end"
     )
     within = "+task.inputs.torque.lower=1.5"  # at least 80% of it: a plan's inputs may not be smaller
     assert told(nearer, within).startswith("are at the planner's limits (80% of the task's) in 100%")

@@ -142,6 +142,10 @@ def test_what_python_replaced_is_not_kept(point_mass: Study, tmp_path: Path) -> 
     """A line says so; nor is a seed a generator."""
     with pytest.warns(simbias.core.StudyWarning, match="keeps only the config: components replaced in Pytho"):
         simbias.run_trial(replace(point_mass, seed=4), tmp_path / "other")
+    ask = replace(point_mass, conditions=replace(point_mass.conditions, ask=lambda *_: True))
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", message=".*keeps only the config")
+        simbias.run_trial(ask, tmp_path / "asked")
     with pytest.raises(ValueError, match=r"^rng: expected numpy\.random\.default_rng\(seed\), got int$"):
         point_mass.experiment(np.zeros(3), 0)  # type: ignore[arg-type]
 

@@ -29,7 +29,7 @@ from simbias.trial.policy_test import PolicyTest
 from simbias.trial.study import Study
 
 NO_COMPONENTS = (
-    *("seed", "conditions", "policy_test", "budget", "spending", "as_composed"),
+    *("seed", "conditions", "policy_test", "budget", "spending", "composed"),
     *("composition", "hardware_of", "nominal_of"),
 )
 VALUES = {
@@ -90,7 +90,7 @@ def build(composition: Composition, left_out: Sequence[str] = ()) -> Study:
         nominal_of=partial(_nominal, config["nominal"], own),
         conditions=conditions(whole, task, timeout),
     )
-    object.__setattr__(study, "as_composed", True)
+    study.composed.extend(study.components)
     _check_known(study, config["identification"].get("known"))
     return study
 

@@ -183,8 +183,8 @@ def _check_numbers(given: Any, converted: Any, key: str) -> None:
     if isinstance(given, bool) and isinstance(converted, float | int) and not isinstance(converted, bool):
         raise ConfigError(key, f"must be a number, got {str(given).lower()}")
     if isinstance(given, Mapping):
-        if isinstance(converted, tuple):  # of items, in order
-            converted = dict(converted)
+        if isinstance(converted, tuple):  # named, or of items in order
+            converted = converted._asdict() if hasattr(converted, "_asdict") else dict(converted)
         parts = converted if isinstance(converted, Mapping) else getattr(converted, "__dict__", {})
         for name in (name for name in given if name in parts):
             _check_numbers(given[name], parts[name], f"{key}.{name}".lstrip("."))

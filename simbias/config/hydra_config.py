@@ -58,7 +58,10 @@ def composed(overrides: Sequence[str], config_dir: str | None, grid: bool, files
         overrides = [*overrides, f"hydra.searchpath=['{option_files.SCHEME}://{escaped}']"]
     given = parsed(overrides)
     values = {each.key_or_group: each.value() for each in given}  # the last value of each
-    if [each.key_or_group for each in given].count("preset") > 1:
+    if (
+        len({str(each.value()) for each in given if each.key_or_group == "preset" and not each.is_delete()})
+        > 1
+    ):
         raise ConfigError("preset", "is given twice; 'preset=[cartpole,robust]' combines two")
     folders = [resource_folder("conf"), *([] if config_dir is None else [Path(config_dir)])]
     for group, value in values.items():
@@ -244,6 +247,7 @@ def _no_such_key(key: str, component: Any = None) -> ConfigError:
     with suppress(ConfigError):  # of a component whose module is not simbias's
         made = component_class(component, group)
         names = constructor_parameters(made).keys() - PROVIDED
+        names |= {"confirm", "safety"} if group == "hardware" else set()
         if name not in names:
             near = get_close_matches(name, names, 1, NEAR)
             has = f"{made.__name__} takes {', '.join(sorted(names)) or 'none'}"

@@ -67,10 +67,19 @@ def jumps(times: Array, values: Array, rates: Array) -> Indices:
     return np.flatnonzero(excess > np.maximum(JUMP * np.abs(rates).max() * due, FAR * usual)) + 1
 
 
-def slopes(times: Array, values: Array) -> Array:
+def usual_rates(times: Array, values: Array) -> Array:
     """Rates (k,) of values (k,): the median slope around each sample, which a jump does not change."""
     each = np.pad(np.diff(values) / np.diff(times), AROUND, "edge")
     return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(each, 2 * AROUND), axis=1))
+
+
+def lone_jumps(times: Array, values: Array) -> Indices:
+    """Samples (j,) before which values (k,) without rates jump; a motion lasts for two intervals at least."""
+    slopes = np.diff(values) / np.diff(times)
+    padded = np.pad(slopes, 1, "edge")
+    along = np.maximum(padded[:-2] * np.sign(slopes), padded[2:] * np.sign(slopes))
+    found = jumps(times, values, usual_rates(times, values))
+    return found[np.abs(slopes[found - 1]) > JUMP * along[found - 1]]
 
 
 def late_rates(pieces: Sequence[Rollout], task: Task, rates: Mapping[int, int]) -> dict[int, float]:

@@ -12,7 +12,7 @@ from simbias.core import HardwareError, Task
 from simbias.core.messages import quote, words
 from simbias.core.quantities import TURNS, Quantity
 from simbias.core.records import Array, Indices, Rollout
-from simbias.lab.rates import check_rates, jumps, late_rates, rates_of, slopes
+from simbias.lab.rates import check_rates, jumps, late_rates, lone_jumps, rates_of
 from simbias.lab.signals import Signal, Signals, signals, split_name
 from simbias.lab.units import factor
 from simbias.learning.noise import white_noise
@@ -219,9 +219,11 @@ class _Reading:
         found, each = self._found, dict[int, Indices]()
         for rate, i in self._rates.items():
             times, values, _ = found[i]
-            told = found[rate] if rate in found else Signal(times, slopes(times, values), times)
-            rates = np.interp(times, told.times, told.values)
-            each[i] = np.setdiff1d(jumps(times, values, rates), self._begins(found[i]))
+            if rate in found:
+                samples = jumps(times, values, np.interp(times, found[rate].times, found[rate].values))
+            else:
+                samples = lone_jumps(times, values)
+            each[i] = np.setdiff1d(samples, self._begins(found[i]))
         at = sorted({float(found[i].places[j]) for i, samples in each.items() for j in samples})
         if at:
             names = ", ".join(self._quantities[i].name for i, samples in each.items() if len(samples))

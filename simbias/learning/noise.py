@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import compress
-from math import factorial
+from math import factorial, prod
 
 import numpy as np
 
@@ -112,7 +112,6 @@ def _differences(order: int, times: Array, values: Array) -> Array:
     spacing = np.median(np.diff(times))
     for each in range(1, order + 1):
         values = np.diff(values) * (each * spacing / (times[each:] - times[:-each]))
-    of_each = np.lib.stride_tricks.sliding_window_view(times, order + 1)
-    distances = (of_each[:, :, None] - of_each[:, None, :]) / spacing + np.eye(order + 1)
-    weights = factorial(order) / np.prod(distances, axis=2)
-    return np.asarray(values / np.sqrt(np.sum(weights**2, axis=1)))
+    nodes = [times[each : each + len(values)] / spacing for each in range(order + 1)]
+    weights = (factorial(order) / prod(x - y for y in nodes if y is not x) for x in nodes)
+    return np.asarray(values / np.sqrt(sum(weight**2 for weight in weights)))

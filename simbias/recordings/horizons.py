@@ -107,7 +107,8 @@ class HorizonErrors:
     def least_explained(self) -> int:
         """The state whose errors are the largest ones relative to what explains them."""
         shares = [
-            one.errors**2 / (np.diagonal(one.spreads, axis1=1, axis2=2) + one.noise**2)
+            np.minimum(np.abs(one.errors), LARGEST)
+            / np.sqrt(np.diagonal(one.spreads, axis1=1, axis2=2) + one.noise**2 + NARROWEST)
             for one in self.own or self.identified
         ]
         return int(np.argmax(np.quantile(np.concatenate(shares), REGION, axis=0)))

@@ -117,7 +117,7 @@ def doubt(found: Sequence[Finding], held: int) -> str:
 def record(
     study: Study, model: PredictionModel, take: Take, noise: Array, rng: np.random.Generator
 ) -> Rollout:
-    """The rollout of a robot in a take until it fails, measured with noise (n,) at the take's times."""
+    """A robot's rollout in a take until it fails, measured at the take's times, with noise (n,) in frames."""
     states = np.broadcast_to(take.start, (len(take.inputs) + 1, len(take.start)))
     windows = Windows.of([Rollout(states, take.inputs, continues=take.continues)], len(take.inputs), 1)
     x = np.vstack([take.start, predict([model], windows)[0, 0]])
@@ -128,8 +128,9 @@ def record(
     times = at if take.times is None else take.times[take.times <= at[-1]]
     if not len(times):  # it fails before the first measurement
         return Rollout(x[:1], take.inputs[:0])
-    e = noise * rng.standard_normal((len(times), len(noise)))
-    seen = [np.interp(times, at, x[:, i]) + e[:, i] for i in range(len(noise))]
-    measured = np.array([np.interp(at, times, each) for each in seen]).T
+    white = rng.standard_normal((len(times), len(noise)))
+    seen = [np.interp(at, times, np.interp(times, at, x[:, i])) for i in range(len(noise))]
+    e = np.array([np.interp(at, times, each) for each in white.T]).T  # smaller, between samples
+    measured = np.array(seen).T + noise * e * np.sqrt(np.mean(white**2, axis=0) / np.mean(e**2, axis=0))
     inputs = take.inputs[:frames]
     return Rollout(measured, inputs, measured=measured, sensed=True, continues=take.continues)

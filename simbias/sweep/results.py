@@ -28,7 +28,7 @@ from simbias.trial.folder import TrialFolder
 from simbias.trial.summary import Outcome, TrialSummary
 
 DIGITS = 4  # of times in published results
-OF_POLICY = 8  # digits of the last policy's hash, by which a sweep's policies differ
+OF_POLICY = 7  # digits of the last policy's hash: two of 1000 policies share them once in 500 sweeps
 COUNTS = ("experiments", "iterations")
 SHOWN = (Outcome.SUCCEEDED, Outcome.NOT_SUCCEEDED, Outcome.ERROR)  # outcomes of trials in tables
 TEXTS = ("test_episodes", "lasting_episodes", "policy")

@@ -119,8 +119,8 @@ def _beyond_reach(states: Array, model: Model, planned: bool) -> str:
     coming = (short[-1] < NEARER * short[: int(EARLIER * len(short))].min(axis=0, initial=np.inf)).all()
     late = "; it was still approaching, so the horizon may be too short" if coming else ""
     random = planned and not moves(goal_along(task))
-    if random and (short[-1] <= 0).all():
-        return "; the plan is there at the end only: policy.resting=1 plans to rest there for 1 s"
+    if random and (short[-1] <= 0).all() and not getattr(model.policy, "resting", 0.0):
+        return "; the plan is there at the end only: with policy.resting (s), it rests there before the end"
     return late + "; a larger method.trajectories tries more plans" * random
 
 

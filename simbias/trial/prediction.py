@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from pydantic import TypeAdapter
 
 from simbias.core import FittedBias, Nominal
 from simbias.core.records import Array, Rollout
 from simbias.robots.none import NoNominal
-from simbias.simulation.noise import QUIET, Noise, Variances
 from simbias.trial.study import Study
 
 DRAWS, SEED = 40, 0
@@ -54,7 +52,7 @@ def predict(
     Draws begin at random starts of the task, on models and biases drawn from their posteriors, with the
     task's pushes and the noise that the hardware declares.
     """
-    model, noise = study.model(bias, nominal), declared_noise(study)
+    model, noise = study.model(bias, nominal), study.declared_noise
     study = study.designed_on(model)
     rng = np.random.default_rng(SEED)
     (noise_rng,) = rng.spawn(1)
@@ -73,12 +71,3 @@ def predict(
     words = f"{', '.join(drawn[:-1])} and {drawn[-1]}"
     expected = study.simulate(theta, model.bias, start, model.nominal)
     return Prediction(expected, draws, words, bias is not None or not isinstance(study.nominal, NoNominal))
-
-
-def declared_noise(study: Study) -> Noise:
-    """The noise that the hardware declares by names of the task's quantities, if any, and pushes."""
-    declared = study.config.get("hardware", {}).get("noise")
-    try:
-        return Noise(study.task, TypeAdapter(Variances).validate_python(declared or QUIET))
-    except ValueError:  # a custom class may use the name differently
-        return Noise(study.task, QUIET)

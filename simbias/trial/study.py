@@ -5,11 +5,12 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, NoReturn, Protocol
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from simbias.core import (
     Bias,
@@ -27,12 +28,14 @@ from simbias.core import (
     StudyWarning,
     Task,
 )
+from simbias.core.error_origin import is_own
 from simbias.core.errors import ConfigError
 from simbias.core.records import Array, Disturbance, Iteration, Rollout, Selection, Transitions
 from simbias.lab.checked_hardware import DEFAULT_CONDITIONS, CheckedHardware, ExperimentConditions
 from simbias.lab.requests.request import ExperimentRequest
 from simbias.policy.trajectory import Trajectory
 from simbias.simulation.closed_loop import simulator
+from simbias.simulation.noise import QUIET, Noise, Variances
 from simbias.simulation.numpy_loop import shaped
 from simbias.trial.ask_tell import AskTell
 from simbias.trial.budget import NO_LIMITS, Budget, BudgetSpent, Spending
@@ -42,6 +45,8 @@ from simbias.trial.observer import Observer
 from simbias.trial.policy_test import NO_TEST, PolicyTest
 from simbias.trial.replay import Record, ReplayedOptimizer
 
+BESIDE = ("composition", "hardware_of", "nominal_of", "conditions", "spending", "composed")
+OF_HARDWARE = "policy.noise='${noise_of_hardware:}' takes the hardware's"
 WITH_NOISE = ("kalman", "disturbance")  # observers that need the variances of the measurements
 
 
@@ -96,7 +101,7 @@ class Study:
     policy_test: PolicyTest = NO_TEST
     budget: Budget = NO_LIMITS
     spending: Spending = field(default_factory=Spending)  #: of the budget in a running trial
-    as_composed: bool = field(default=False, init=False)  #: whether `build` made it; false in copies
+    composed: list[Any] = field(default_factory=list)  #: the components that `build` made; copies share it
 
     def __repr__(self) -> str:
         """The study in a line, e.g. in a notebook."""
@@ -111,6 +116,17 @@ class Study:
     def choices(self) -> Mapping[str, str]:
         """The chosen option of every config group."""
         return self.composition.choices
+
+    @property
+    def components(self) -> list[Any]:
+        """All that a trial's config determines."""
+        return [getattr(self, each.name) for each in fields(self) if each.name not in BESIDE]
+
+    @property
+    def as_composed(self) -> bool:
+        """Whether no component was replaced since `build`."""
+        made = zip(self.components, self.composed, strict=False)
+        return bool(self.composed) and all(mine is composed for mine, composed in made)
 
     @property
     def without_targets(self) -> Study:
@@ -150,6 +166,15 @@ class Study:
             yield from run
 
     @property
+    def declared_noise(self) -> Noise:
+        """The noise that the hardware declares by names of the task's quantities, if any, and pushes."""
+        declared = self.config.get("hardware", {}).get("noise")
+        try:
+            return Noise(self.task, TypeAdapter(Variances).validate_python(declared or QUIET))
+        except ValueError:  # a custom class may use the name differently
+            return Noise(self.task, QUIET)
+
+    @property
     def max_experiments(self) -> int:
         """The maximum number of hardware experiments, in a trial that never succeeds."""
         return min(self.method.max_experiments, self.budget.experiments or self.method.max_experiments)
@@ -165,13 +190,13 @@ class Study:
         if isinstance(self.policy, Trajectory) and not self.method.trajectories:
             if self.policy.searched_knots:
                 raise ConfigError("policy.searched_knots", "needs a plan to search near: method=trajectory")
-            if getattr(self.method, "first_policy", None) is None:
+            if not is_own(self.method) and getattr(self.method, "first_policy", None) is None:
                 raise ConfigError("policy", "follows a plan, so it needs method=trajectory")
-        policy, real = (self.config.get(group, {}) for group in ("policy", "hardware"))
-        if policy.get("observer") in WITH_NOISE and not policy.get("noise") and real.get("noise"):
-            remedy = "policy.noise='${noise_of_hardware:}' takes the hardware's"
-            words = f"policy.observer={policy['observer']} assumes exact measurements; {remedy}"
-            warnings.warn(words, StudyWarning, stacklevel=2)
+        policy = self.config.get("policy", {})
+        exact = policy.get("observer") in WITH_NOISE and not policy.get("noise")
+        if exact and self.declared_noise.sensor_variance.any():
+            words = f"policy.observer={policy['observer']} assumes exact measurements"
+            warnings.warn(f"{words}; {OF_HARDWARE}", StudyWarning, stacklevel=2)
         self.method.check(self)
 
     def simulate(

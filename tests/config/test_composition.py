@@ -2,6 +2,7 @@
 
 import pickle
 import re
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -33,6 +34,7 @@ BAD = {  # by override: its key, and what is said of it
     "bias.dd=1": ("bias.dd", "no such key; GaussianProcess takes d, fourier_features, "),
     "evaluation.rollouts=1": ("evaluation.rollouts", "no such key; NominalStart takes none"),
     "method.max_iteration=1": ("method.max_iteration", "no such key; did you mean max_iterations?"),
+    "hardware.confirmm=true": ("hardware.confirmm", "no such key; did you mean confirm?"),
     "seed.x=1": ("seed.x", "no such key; --cfg job shows all keys, --help the groups; +seed.x=... sets one"),
     "cartpole": ("cartpole", "expected group=option or group.key=value, such as preset=robust"),
     "task=cartpole": ("samples.limits.body_angle", "refers to task.limits.body_angle, which is missing"),
@@ -128,11 +130,14 @@ def test_what_is_probably_a_mistake_is_told() -> None:
     for overrides, words in DOUBTFUL.items():
         with pytest.warns(StudyWarning, match=words):
             simbias.load(["preset=cartpole_swingup", *overrides, "tracking=none"]).check()
+    with warnings.catch_warnings(action="error"):  # of inputs only
+        simbias.load(["policy=mlp", "policy.observer=kalman", "hardware.noise.torque_variance=0.1"]).check()
 
 
 def test_two_presets_are_one_override() -> None:
     with one_line(r"^preset: is given twice; 'preset=\[cartpole,robust\]' combines two$"):
         compose(["preset=cartpole", "preset=robust"])
+    compose(["preset=cartpole", "preset=cartpole"])
 
 
 def test_an_axis_may_set_the_last_value_of_a_list() -> None:

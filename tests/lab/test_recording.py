@@ -195,6 +195,12 @@ def test_rows_that_are_lost_or_doubled_under_a_clock_that_goes_on_cut_it(
         found = read(rows.drop(columns=["vel1", "vel2"]))  # their rates are those of the motion around
         assert "a jump at row 302, more than velocities imply" in "; ".join(found.notes)
         assert [piece.frames for piece in found.pieces] == [99, 199, len(rows) - 301]
+    steps = table.iloc[::10].drop(columns=["vel1", "vel2"])  # at 50 Hz, with noise
+    noise = 1e-3 * np.random.default_rng(0).standard_normal((2, len(steps)))
+    for begins in (0.5, 0.507):
+        t = 60.0 * np.maximum(steps["time"] - begins, 0.0)
+        servo = steps.assign(pos1=0.5 * (1 - (1 + t) * np.exp(-t)) + noise[0], pos2=noise[1])
+        assert len(read(servo).pieces) == 1
     glitches = table.assign(pos1=table["pos1"] + (table.index % 100 == 50))
     assert "row 352, row 353 and 12 other places, more than" in read(glitches).notes[0]
     late = table.assign(time=table["time"].where(table.index != 300, 0.6019))

@@ -254,7 +254,7 @@ def command(*overrides: str) -> list[str]:
 @pytest.mark.parametrize("noise", [{"angle_variance": "abc"}, {"torque_variance": -1.0}, {"moon": 1.0}, 0.5])
 def test_what_is_no_noise_of_the_tasks_is_none(noise: object, point_mass: Study) -> None:
     composition = replace(point_mass.composition, config={"hardware": {"noise": noise}})  # type: ignore[type-var]
-    assert prediction.declared_noise(replace(point_mass, composition=composition)).is_silent
+    assert replace(point_mass, composition=composition).declared_noise.is_silent
 
 
 @pytest.mark.slow

@@ -145,6 +145,8 @@ def test_errors_that_noise_and_uncertainty_do_not_explain_are_told(assessment: A
         assert HorizonErrors(0.5, (wrong,), (own,)).unexplained() == pytest.approx(times, rel=0.1)
     of_second = own._replace(errors=wrong * [1.0, 3.0])
     assert HorizonErrors(0.5, (wrong,), (of_second,)).least_explained() == 1
+    still = own._replace(errors=wrong * [1.0, 0.0], spreads=spread * [1.0, 0.0], noise=noise * [1.0, 0.0])
+    assert HorizonErrors(0.5, (wrong,), (still,)).least_explained() == 0  # the other never moves
     few = own._replace(errors=wrong[:9], spreads=spread[:9])
     assert np.isnan(HorizonErrors(0.5, (wrong,), (few,)).unexplained())
     assert "explain" not in verdict(assessment)

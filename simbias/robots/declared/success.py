@@ -60,7 +60,7 @@ class Success:
 
     def warn_of_degrees(self, goals: Sequence[Quantity]) -> None:
         """Warn of a bound on the magnitude of an angle's error that no error exceeds."""
-        most = {f"{goal.name}_error": goal.turn / 2 for goal in goals if goal.wraps}
+        most = {f"{goal.name}_error": goal.turn / 2 for goal in goals if goal.wraps and goal.unit == "rad"}
         for name, each in self._conditions.items():
             value, is_magnitude = within_abs(each.value)
             if is_magnitude and value in most and (each.below or 0.0) > most[value]:
