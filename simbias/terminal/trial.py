@@ -144,7 +144,9 @@ class TrialConsole(Observer):
         self._model: Model | None = None
         self._said: set[str] = set()  # kinds of remarks
         self._said_of_policy: set[str] = set()  # kinds of remarks on the last policy
-        self._width = 18 * (study.method.max_experiments // study.method.max_iterations)
+        self._width = (26 if study.task.says_success else 18) * (
+            study.method.max_experiments // study.method.max_iterations
+        )
 
     def __enter__(self) -> TrialConsole:
         study = self._study
@@ -241,10 +243,11 @@ class TrialConsole(Observer):
             self._remark(diagnostics.of_selection(learning.selection))
         self._iterations.append(iteration)
 
-    def _experiment_text(self, rollout: Rollout) -> str:
+    def _experiment_text(self, rollout: Rollout, of_policy: bool = True) -> str:
         """Cost and duration of an experiment, and whether it is no success if its cost does not show this."""
         study, word = self._study, "missed" if rollout.failed_at is None else "failed"
-        hidden = rollout.cost < study.cost.max_cost and not study.passes(rollout)
+        by_cost = not study.task.says_success and rollout.cost >= study.cost.max_cost
+        hidden = of_policy and not by_cost and not study.passes(rollout)
         seconds = rollout.frames * study.task.time_step
         return f"{cost_text(rollout.cost):>8} ({seconds:.2f} s{f', {word}' * hidden})"
 
@@ -265,7 +268,8 @@ class TrialConsole(Observer):
         whats = "Random experiments", "Experiments of an unfinished iteration"
         for what, made in zip(whats, method.split(record.unfinished, first), strict=True):
             if made:
-                say(self._console, f"{what}: {'  '.join(map(self._experiment_text, made)).strip()}.")
+                texts = (self._experiment_text(each, of_policy=what != whats[0]) for each in made)
+                say(self._console, f"{what}: {'  '.join(texts).strip()}.")
         if where:
             say(self._console, f"Look at it:  {where}")
 
